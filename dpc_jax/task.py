@@ -19,7 +19,6 @@ class FlagParser(argparse.ArgumentParser):
       command: as the command `dpc_jax` names it, "fit" for instance; "" where the
         settings have its name as `prog`.
       takes: what comes before the flags, for --help.
-      settings: of `argparse.ArgumentParser`.
     """
 
     def __init__(self, command: str = "", *, takes: str = "", **settings: Any):
@@ -34,11 +33,7 @@ class FlagParser(argparse.ArgumentParser):
         )
 
     def error(self, message: str) -> NoReturn:
-        """See the class.
-
-        Raises:
-          ValueError: always.
-        """
+        """Raise ValueError."""
         raise ValueError(
             f"Expected flags as --help lists them, but {message}; correct the command."
         )

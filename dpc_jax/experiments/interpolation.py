@@ -24,17 +24,12 @@ def run(out: Path, workdir: Path) -> tuple[dict[str, float], list[tuple[Path, st
     """Interpolate between test images of a finished run, measure and draw it.
 
     Args:
-      out: folder of the figures.
-      workdir: of a finished run, with known poses or without.
+      out: folder of the figures. workdir: of the run.
 
     Returns:
       The measure by its name, and the figure with its caption.
-
-    Raises:
-      ValueError: where the workdir holds no finished run, or too few test images.
-      OSError: where files cannot be written.
     """
-    finished = load_trained(Path(workdir))
+    finished = load_trained(workdir)
     images, masks = read_first_views(load_split(finished, "test"))
     pairs = draw_pairs(len(images))
     ways = np.array([interpolate(finished, images[p], masks[p]) for p in pairs])
@@ -47,11 +42,7 @@ def run(out: Path, workdir: Path) -> tuple[dict[str, float], list[tuple[Path, st
 
 
 def draw_pairs(count: int) -> np.ndarray:
-    """Pairs [P, 2] of different ones of `count` images, seed 0; none is in two pairs.
-
-    Raises:
-      ValueError: where there are fewer than two images.
-    """
+    """Pairs [P, 2] of `count` images, seed 0; none is in two of them."""
     if count < 2:
         raise ValueError(
             f"Expected at least two test images to go between, but there are {count}; "

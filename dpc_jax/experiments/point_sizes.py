@@ -27,11 +27,7 @@ def run(out: Path, workdirs: Sequence[Path]) -> tuple[dict[str, float], Figures]
 
 
 def draw_errors(out: Path, workdirs: Sequence[Path]) -> tuple[Path, str]:
-    """The projection error over the number of points, of finished runs of all kinds.
-
-    Raises:
-      ValueError: where a run has no projection error.
-    """
+    """The projection error over the number of points, of finished runs of all kinds."""
     errors: dict[str, dict[int, list[float]]] = {kind: {} for kind in figures.LABELS}
     for workdir in workdirs:
         config = read_config(workdir)
@@ -95,7 +91,7 @@ def find_covariances(
     """Covariances [M, V, N, 3, 3] in squares of the object's unit.
 
     Args:
-      predictions: with sizes of each point or without. sigma: of those without, voxels.
+      sigma: of predictions without sizes of each point, voxels.
       grid: side of the volume, in voxels.
     """
     sizes = predictions.sizes

@@ -60,7 +60,6 @@ def run_suite(
     """Train what is missing of some runs, then write the page of the request.
 
     Args:
-      request: what is asked for.
       folder: DIR, with a folder per run under runs/.
       trains: whether what is missing is trained, or left out of the page.
       cache: of rendered data sets.
@@ -70,7 +69,6 @@ def run_suite(
 
     Raises:
       ValueError: where another command uses DIR, or a config cannot work.
-      OSError: where DIR cannot be written.
       KeyboardInterrupt: where Ctrl-C stopped it; the runs have saved.
     """
     prepare_process(VIEWS_AT_ONCE)  # the networks of finished runs are asked here

@@ -71,8 +71,7 @@ def draw_curves(
     Args:
       records: lines of `metrics.jsonl` with `seconds`. Values that are missing or not
         finite are not drawn.
-      stages: the step that each stage of the schedule begins with and what is new in
-        it, drawn as vertical lines.
+      stages: as of `write_report`, drawn as vertical lines.
     """
     lines = [
         line | {"candidates_alive": count_alive(line["head_shares"])}

@@ -91,9 +91,7 @@ def write_report(
       stages: first step of each stage of the schedule and what is new in it.
       examples: views to show, those of a group one after the other.
       ranking: how they were chosen, a sentence.
-      failures: errors of the poses of the test views, and what is wrong with them.
-      warnings: sentences for the top of the page.
-      config_text: the configuration, shown as it is.
+      failures: of the poses of the test views.
     """
     folder = Path(folder)
     values = dict(sorted(metrics.items()))

@@ -16,11 +16,7 @@ _LEFT_OUT = (*FREE_FIELDS, "seed", "variant")
 
 
 def find_workdirs(folders: Sequence[Path]) -> list[Path]:
-    """The workdirs among folders, or in them, each once.
-
-    Raises:
-      ValueError: for a folder that neither is one nor holds one.
-    """
+    """The workdirs among folders, or in them, each once; ValueError without any."""
     found: dict[Path, None] = {}
     for folder in folders:
         inside = [folder] if (folder / "config.json").is_file() else []
@@ -38,9 +34,6 @@ def read_runs(workdirs: Sequence[Path]) -> list[ComparedRun]:
     """What the workdirs hold, finished or not.
 
     Runs have the names of their folders, with those above them where two are alike.
-
-    Raises:
-      ValueError: where a config or the metrics of a report cannot be read.
     """
     names = [path.name for path in workdirs]
     if len(set(names)) < len(names):

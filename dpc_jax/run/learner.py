@@ -16,14 +16,10 @@ from dpc_jax.run.setup import make_network
 
 
 class Learner:
-    """A network with its data sets: what it predicts of them, and how good that is.
-
-    Attributes:
-      config: of the run. sets: by their splits.
-      network: that learns. predictor: compiled for its predictions.
-    """
+    """A network with its data sets: what it predicts of them, and how good that is."""
 
     def __init__(self, config: Config, sets: dict[str, DataSet]):
+        """sets: by their splits."""
         self.config, self.sets = config, sets
         self.network: ShapePoseNetwork = make_network(config)
         self.predictor = make_predictor(self.network, config)
@@ -91,11 +87,8 @@ class Learner:
     ) -> tuple[Predictions, Alignment, float | None]:
         """Predictions for the test split, with what the validation split tells of them.
 
-        All processes of a job must call it.
-
-        Returns:
-          (predictions; alignment from the network's frame to the object frame;
-          threshold of the surfaces of a voxel model, None for other shapes).
+        That is the alignment from the network's frame to the object frame, and the
+        threshold of the surfaces of a voxel model. All processes of a job must call it.
         """
         validated, threshold = self.find_points(self.predict(state, "val"))
         alignment = self.align(validated)

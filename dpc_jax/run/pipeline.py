@@ -43,10 +43,7 @@ _GB = 1e9
 
 
 def judge(config: Config, folder: Path, judge_run: Callable):
-    """Have the finished run of a config judged.
-
-    Args:
-      judge_run: `judge_finally`, `judge_photographs`.
+    """Have the finished run of a config judged by `judge_finally`, for instance.
 
     Raises:
       ValueError: where the folder holds no finished run of that config.
@@ -60,8 +57,6 @@ def run(config: Config, folder: Path, place: Place | None = None):
     """Train where that is left to do, then evaluate on the test split and report.
 
     Args:
-      config: of the run.
-      folder: of the run.
       place: of this process among those of a job; None where it is on its own.
 
     Raises:

@@ -91,7 +91,6 @@ def load_sets(config: Config) -> dict[str, DataSet]:
 
     Raises:
       ValueError: where a set cannot be used, or does not fit the config.
-      OSError: where the cache cannot be written.
     """
     specs = make_data_specs(config)
     sets = {name: load_set(config, spec) for name, spec in specs.items()}

@@ -28,13 +28,10 @@ class Job:
     """The processes that work together; one on its own has nobody to wait for.
 
     All processes call the same methods in the same order.
-
-    Attributes:
-      processes: how many there are.
-      process: which of them this one is, from 0.
     """
 
     def __init__(self, processes: int = 1, process: int = 0):
+        """process: which of them this one is, from 0."""
         self.processes, self.process = processes, process
         self._waits = 0
 

@@ -55,9 +55,6 @@ class SharedCheckpoints(Checkpoints):
     """Checkpoints of a job; the state may be spread over the devices of all processes.
 
     Process 0 writes the whole arrays. So any number of processes can go on from them.
-
-    Args:
-      folder: see `Checkpoints`. job: whose they are.
     """
 
     def __init__(self, folder: Path, job: Job):

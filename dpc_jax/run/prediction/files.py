@@ -21,9 +21,6 @@ def write_predictions(
 ) -> tuple[list[dict], Path]:
     """Cloud, surface and NAME.json of each object, and one picture of the views.
 
-    Args:
-      surface: its format, see `write_surface`.
-
     Returns:
       (an entry for each view, as in the JSON files and with its object's name; the
       picture).

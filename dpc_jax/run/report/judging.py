@@ -44,11 +44,8 @@ def judge_finally(
     """Metrics of a finished run on the split "final"; printed, kept in WORKDIR.
 
     The objects are procedural shapes of seeds that no other split has, as many as the
-    test split has, or all meshes of a folder of another source.
-
-    Args:
-      meshes: of that folder; to be given where the run's objects are not procedural.
-      cache_dir: of rendered sets; that of the run where it is empty.
+    test split has, or all meshes of a folder of another source, which must be given
+    where the run's objects are not procedural.
     """
     trained = load_trained(workdir, cache_dir=cache_dir)
     config = trained.config
@@ -127,9 +124,6 @@ def judge_photographs(
     Photographs are framed by their masks; their distance is not known. They are taken
     of the same objects from the same sides, undisturbed ("photographs") and with each
     of `DISTURBANCES` alone. Printed, and kept in WORKDIR/photographs.json.
-
-    Args:
-      cache_dir: of rendered sets; that of the run where it is empty.
     """
     check_ability(read_config(workdir), "--photographs")
     trained = load_trained(workdir, cache_dir=cache_dir)

@@ -71,7 +71,7 @@ def choose_examples(
     silhouettes.
 
     Args:
-      per_group: views of each. shapes: of the training set, to show beside them.
+      per_group: views of each. shapes: to show beside them.
     """
     models, _ = arrange_views(judged.dataset)
     scores = judged.scores

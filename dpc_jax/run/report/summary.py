@@ -37,8 +37,7 @@ def report_run(
     """Score the test set, write WORKDIR/report, and print what is in it.
 
     Args:
-      outcome: of the training loop. found: see `Learner.predict_test`.
-      records: of the log. data_seconds: spent on preparing the data.
+      found: see `Learner.predict_test`. data_seconds: spent on preparing the data.
     """
     config, sets, test = learner.config, learner.sets, learner.sets["test"]
     judged = judge(test, config, *found)
@@ -106,11 +105,7 @@ def judge(
 def list_metrics(
     judged: Judged, config: Config, shapes: TrainingShapes | None
 ) -> dict[str, Any]:
-    """Metrics of a judged set, None where there is nothing to measure.
-
-    Args:
-      shapes: of training, that predictions are compared with.
-    """
+    """Metrics of a judged set, None where there is nothing to measure."""
     predictions, dataset, alignment, scores, distance, threshold = judged
     metrics = dict.fromkeys(REQUIRED_METRICS) | scores.metrics | estimate_errors(scores)
     metrics |= evaluator.measure_images(predictions, dataset, distance=distance)
@@ -130,7 +125,7 @@ def list_warnings(
     """Sentences on what a reader of the figures has to know.
 
     Args:
-      sets: by name. shares: [K] of views that each head wins; None without heads.
+      shares: [K] of views that each head wins; None without heads.
     """
     warnings, test = collect_warnings(sets), sets["test"]
     if test.quaternions is None:

@@ -47,7 +47,6 @@ class TrainingShapes(NamedTuple):
         """Those of a run's sets; None where a set has no true shapes.
 
         Args:
-          sets: by name, "train", "val" and "test".
           most: points of a mean shape, as many as a prediction has.
         """
         train, val, test = (sets[name] for name in ("train", "val", "test"))

@@ -28,11 +28,7 @@ _OBJECTS = 12  # of validation: with five views each they are one batch
 
 
 class NetworkShapes:
-    """The network of a workdir, whose run may still be training.
-
-    Attributes:
-      config: of the run.
-    """
+    """The network of a workdir, whose run may still be training."""
 
     def __init__(self, workdir: Path, data: Path | None):
         """data: folder of rendered sets; None for that of the config."""
@@ -54,11 +50,7 @@ class NetworkShapes:
         return max((int(name) for name in names if name.isdecimal()), default=None)
 
     def load(self):
-        """Read the last checkpoint.
-
-        Raises:
-          ValueError: where there is none that can be read.
-        """
+        """Read the last checkpoint; ValueError where none can be read."""
         self._run = load_checkpoint(self.config, self._workdir)
         if not self._predictors:
             for is_known in (True, False):
@@ -76,11 +68,7 @@ class NetworkShapes:
         return self._show(self._validation)
 
     def show_images(self, paths: list[Path]) -> list[ShownObject]:
-        """What images show, each an object.
-
-        Raises:
-          ValueError: where none of them can be used.
-        """
+        """What images show, each an object; ValueError where none can be used."""
         spec = make_spec(self.config, None)
         found, _ = read_photographs(paths, spec, mask="auto")
         placed = [] if knows_distance(self.config, spec.crop) else found

@@ -200,9 +200,6 @@ def serve(paths: list[Path], *, port: int, data: Path | None):
     Args:
       paths: one run, or folders and files of shapes. port: the first that is tried.
       data: folder of the run's rendered data; None for that of its config.
-
-    Raises:
-      ValueError: where there is nothing to show.
     """
     if not 0 < port < 65_536:
         raise ValueError(
