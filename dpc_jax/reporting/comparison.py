@@ -1,12 +1,10 @@
 """The page of a comparison: one table, and one figure of all curves."""
 
 import html
-import io
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
-import matplotlib
 from matplotlib.axes import Axes
 from matplotlib.lines import Line2D
 
@@ -150,10 +148,7 @@ def draw_comparison(groups: Sequence[Group], path: Path) -> Path:
         look: dict[str, Any] = style.pick_series(index) | {"marker": ""}
         handles.append(Line2D([], [], lw=2.0, label=label, **look))
     style.add_legend(figure, handles=handles, ncols=names, handlelength=3.2)
-    buffer = io.StringIO()
-    with matplotlib.rc_context({"svg.fonttype": "none", "svg.hashsalt": "curves"}):
-        figure.savefig(buffer, format="svg", metadata={"Date": None})
-    return write_text(path, buffer.getvalue())
+    return style.save_figure(figure, path)
 
 
 def _draw_run(axes: Axes, run: ComparedRun, metric: str, index: int) -> None:

@@ -8,6 +8,7 @@ import os
 from pathlib import Path
 from typing import Any, Literal
 
+from matplotlib import rc_context
 from matplotlib.axes import Axes
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
@@ -82,8 +83,12 @@ def spell_name(name: str) -> str:
 
 
 def save_figure(figure: Figure, path: str | os.PathLike) -> Path:
-    """Write the figure as PNG, whole or not at all."""
+    """Write the figure as PNG or SVG, as its path ends, whole or not at all."""
     buffer = io.BytesIO()
-    # Without the library's version in it, the same data give the same bytes.
-    figure.savefig(buffer, format="png", dpi=130, metadata={"Software": None})
+    # Without version, date and chance in them, the same data give the same bytes.
+    if Path(path).suffix == ".svg":
+        with rc_context({"svg.fonttype": "none", "svg.hashsalt": "curves"}):
+            figure.savefig(buffer, format="svg", metadata={"Date": None})
+    else:
+        figure.savefig(buffer, format="png", dpi=130, metadata={"Software": None})
     return write_bytes(path, buffer.getvalue())
