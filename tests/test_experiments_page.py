@@ -123,6 +123,12 @@ def test_every_seed_is_analysed_and_the_first_one_is_shown(tmp_path, monkeypatch
 # The whole command, on finished runs.
 
 
+def start(folder, names, *flags):
+    """Status of the command for experiments at the quick size."""
+    flags = f"--out={folder}", "--size=quick", f"--experiment={names}", *flags
+    return paper.main(list(flags))
+
+
 def read_page(folder):
     return (folder / "index.html").read_text(encoding="utf-8")
 
@@ -139,12 +145,7 @@ def finish_runs(folder, request, without=" "):
 
 def test_the_command_writes_the_page_of_what_is_finished(tmp_path, capsys):
     finish_runs(tmp_path, Request(("known_pose", "unknown_pose"), "quick"))
-    flags = [
-        f"--out={tmp_path}",
-        "--size=quick",
-        "--experiment=known_pose,unknown_pose",
-    ]
-    assert paper.main(flags) == 0
+    assert start(tmp_path, "known_pose,unknown_pose") == 0
     said = capsys.readouterr().out
     assert "19 of 19 runs are finished." in said
     assert f"Page: {tmp_path}/index.html" in said
@@ -165,8 +166,7 @@ def test_a_damaged_report_is_never_a_number(text, tmp_path):
     finish_runs(tmp_path, Request(("depth",), "quick"))
     (path,) = tmp_path.glob("runs/chair-known_pose-32-seed0/report/metrics.json")
     path.write_text(text)
-    flags = [f"--out={tmp_path}", "--size=quick", "--experiment=depth"]
-    assert paper.main([*flags, "--no-training"]) == 0
+    assert start(tmp_path, "depth", "--no-training") == 0
     page = read_page(tmp_path)
     (shown,) = re.findall("<td>Known pose, silhouettes</td><td>([^<]+)", page)
     assert shown == "–"
@@ -181,10 +181,9 @@ def test_a_run_that_fails_fails_the_command_and_the_page_says_why(
 
     finish_runs(tmp_path, Request(("known_pose",), "quick"), without="ptn")
     monkeypatch.setattr(training, "train_missing", fail)
-    flags = [f"--out={tmp_path}", "--size=quick", "--experiment=known_pose"]
-    assert paper.main([*flags, "--no-training"]) == 0
+    assert start(tmp_path, "known_pose", "--no-training") == 0
     assert "A run that cannot work." not in read_page(tmp_path)
-    assert paper.main(flags) == 1
+    assert start(tmp_path, "known_pose") == 1
     assert "A run that cannot work." in read_page(tmp_path)
 
 
@@ -200,7 +199,7 @@ def test_a_page_without_runs_has_the_paper_s_numbers(tmp_path):
 
 def test_a_second_command_of_the_same_folder_is_refused(tmp_path, capsys):
     with hold_workdir(tmp_path):
-        assert paper.main([f"--out={tmp_path}", "--size=quick"]) == 1
+        assert start(tmp_path, "all") == 1
     error = capsys.readouterr().err
     assert f"but process {os.getpid()} on" in error and error.count("\n") == 1
 
@@ -208,21 +207,13 @@ def test_a_second_command_of_the_same_folder_is_refused(tmp_path, capsys):
 @pytest.mark.parametrize(
     "flags, words",
     [
-        (
-            "--experiment=shapes",
-            "argument --experiment: names must be of all, known_pose",
-        ),
-        ("--size=huge", "invalid choice: 'huge'"),
-        (
-            "--category=boat",
-            "--category: names must be of airplane, car, chair, not boat",
-        ),
+        ("--experiment=shapes", "--experiment: names must be of all, known_pose"),
+        ("--category=boat", "names must be of airplane, car, chair, not boat"),
         ("--seeds=-1", "--seeds: seeds must be whole numbers"),
         ("--shapenet=none", "--shapenet must be a folder that exists"),
         ("--experiment=ablation --category=car", "is not made of car"),
         ("--category=,", "not empty"),
         ("--seeds=0,", "as in 0,1,2, not ''"),
-        ("--steps=3", "unrecognized arguments: --steps=3"),
     ],
 )
 def test_a_wrong_flag_is_said_in_one_sentence(flags, words, tmp_path, capsys):

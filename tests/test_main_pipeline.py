@@ -177,7 +177,11 @@ def test_plain_lines_tell_how_far_the_run_is_where_there_is_no_terminal(finished
     assert out.rstrip().endswith("report/index.html")
 
 
-def test_a_finished_run_started_again_only_reports_again(command, finished, capsys):
+def test_a_finished_run_started_again_only_reports_again(
+    command, finished, capsys, monkeypatch
+):
+    # Figures take half the time.
+    monkeypatch.setattr("dpc_jax.reporting.page._draw", lambda *_, **__: "")
     workdir, _ = finished
     records = (workdir / "metrics.jsonl").read_bytes()
     before = json.loads((workdir / "report" / "metrics.json").read_text())

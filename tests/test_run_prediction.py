@@ -36,6 +36,7 @@ def test_without_poses_a_view_has_a_sentence_and_no_silhouette(
         cameras=[{}],
     )
     drawn = []
+    monkeypatch.setattr(files, "write_files", lambda *_, **__: None)
     monkeypatch.setattr(files, "draw_predictions", lambda shown, _: drawn.extend(shown))
     (entry,), _ = files.write_predictions([one], tmp_path, surface="glb")
     assert entry["sentence"].startswith(sentence)

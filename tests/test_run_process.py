@@ -53,16 +53,11 @@ def test_a_second_start_compiles_nothing_again(tmp_path):
 @pytest.fixture
 def set_jax():
     """Sets a setting of JAX for as long as the test."""
-    before = dict(jax.config.values)
-    changed = []
-
-    def change(name, value):
-        changed.append(name)
+    names = "jax_compilation_cache_dir", "jax_enable_compilation_cache"
+    before = {name: jax.config.values[name] for name in names}
+    yield jax.config.update
+    for name, value in before.items():
         jax.config.update(name, value)
-
-    yield change
-    for name in changed:
-        jax.config.update(name, before[name])
 
 
 def test_the_user_s_own_settings_come_first(set_jax, tmp_path, monkeypatch):

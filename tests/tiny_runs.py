@@ -18,7 +18,7 @@ from dpc_jax.run.setup import make_network as make_network
 
 IMAGE_SIZE = 16  # pixels, the smallest that the encoder takes
 FOCAL_LENGTH, DISTANCE = 1.875, 2.0
-
+make_state = init_state  # at step 0
 
 # The plain method of the paper in miniature; every extra is off.
 PLAIN = {
@@ -83,11 +83,6 @@ def make_recipe(config: Config, network: ShapePoseNetwork | None = None) -> Reci
     network = network or make_network(config)
     sections = config.render, config.pose, config.train
     return Recipe(network, *sections, config.spreads_masks)
-
-
-def make_state(network: ShapePoseNetwork, config: Config):
-    """The state at step 0."""
-    return init_state(network, config)
 
 
 def make_step(network: ShapePoseNetwork, config: Config, *, step: int = 0):
