@@ -73,23 +73,15 @@ def hush_jaxlib():
 
 
 class Task(NamedTuple):
-    """What a command does when its flags are read.
+    """What a command does when its flags are read."""
 
-    Attributes:
-      work: does it; returns the exit status, None for 0.
-      out: folder that is written to.
-      interrupted: what to say after Ctrl-C.
-      writes: names of the work's files in it, see `owning`; none where the work claims
-        its files itself.
-      inputs: files that the work reads.
-      errors: that are said in one sentence; others are defects of ours.
-    """
-
-    work: Callable[[], int | None]
-    out: Path
-    interrupted: str
+    work: Callable[[], int | None]  # returns the exit status, None for 0
+    out: Path  # folder that is written to
+    interrupted: str  # what to say after Ctrl-C
+    # Of the work's files in the folder, see `owning`; none where it claims them itself.
     writes: Sequence[str] = ()
-    inputs: Sequence[Path] = ()
+    inputs: Sequence[Path] = ()  # that the work reads
+    # That are said in one sentence; others are defects of ours.
     errors: tuple[type[Exception], ...] = (ValueError, OSError)
 
 

@@ -58,7 +58,6 @@ def test_a_run_that_is_not_finished_cannot_be_judged(config, tmp_path):
         ("train.steps", 10**20, "at most 2,147,483,647"),
         ("train.learning_rate", float("nan"), "above 0"),
         ("data.meshes", "/nowhere/at/all", "a folder that exists"),
-        ("seed", -1, "0 or more"),
         ("train.silhouette_weight", 0.0, "so that there is something to learn from"),
         ("data.offset", 0.2, "between 0 and 0.12"),
         ("pose.elevation_high", -20.0, "above pose.elevation_low = -20.0 degrees"),

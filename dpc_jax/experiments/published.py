@@ -38,8 +38,8 @@ def _chamfer(*values):
     return _by_category(("chamfer",), *((value,) for value in values))
 
 
-def _parts(*values):
-    names = "precision coverage chamfer".split()
+def _parts(*values: float) -> dict[str, dict[str, float]]:
+    names: tuple[str, ...] = ("precision", "coverage", "chamfer")
     return {"chair": dict(zip(names, values, strict=True))}
 
 

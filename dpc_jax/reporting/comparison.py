@@ -48,11 +48,7 @@ _HOW_TO_READ = (
 
 
 def write_comparison(folder: Path, groups: Sequence[Group]) -> Path:
-    """Write index.html and curves.svg into a folder; the path of the page.
-
-    Args:
-      groups: at least one.
-    """
+    """Write index.html and curves.svg into a folder; the path of the page."""
     title = "Error against run time"
     path = draw_comparison(groups, folder / "curves.svg")
     curves = f"<h2>{title}</h2><p>{_HOW_TO_READ}</p>\n"
@@ -115,12 +111,9 @@ def _mark(settings: Mapping[str, object]) -> str:
 
 
 def draw_comparison(groups: Sequence[Group], path: Path) -> Path:
-    """Draw error against run time as SVG; returns the path.
+    """Draw error against run time, a colour and line style for each group.
 
     Of `PANELS` those are drawn that are recorded; where none is, the loss.
-
-    Args:
-      groups: a colour and line style for each.
     """
     recorded = {
         n for g in groups for run in g.runs for line in run.records for n in line

@@ -27,7 +27,7 @@ class Example:
     predicted: np.ndarray  # [S, S] predicted silhouette, 0 to 1; its size may differ
     points: np.ndarray  # [N, 3] predicted shape, object frame (z up, x front)
     colors: np.ndarray | None  # [N, 3] predicted, 0 to 1
-    pose_error_deg: float | None  # None where the true pose is unknown
+    pose_error_deg: float | None = None  # None where the true pose is unknown
     surface: np.ndarray | None = None  # [P, 3] points of the true shape, for comparison
     # Vertices [V, 3] and faces [F, 3] of a predicted surface, of voxel models.
     mesh: tuple[np.ndarray, ...] | None = None

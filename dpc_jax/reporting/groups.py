@@ -13,23 +13,16 @@ from dpc_jax.evaluation.metrics import MISSING, format_metric
 
 @dataclass(frozen=True)
 class ComparedRun:
-    """One run, as far as a comparison shows it.
+    """One run, as far as a comparison shows it."""
 
-    Attributes:
-      name: that no other run has.
-      seed: of the run.
-      fields: its settings but for the seed, by name ("train.steps").
-      metrics: of its report; none where it is not finished.
-      records: lines of its `metrics.jsonl`.
-      unfinished: how far it is, where it is not finished; else "".
-    """
-
-    name: str
+    name: str  # that no other run has
     seed: int = 0
+    # Its settings but for the seed, by name ("train.steps").
     fields: Mapping[str, Any] = field(default_factory=dict)
+    # Of its report; none where it is not finished.
     metrics: Mapping[str, Any] = field(default_factory=dict)
-    records: Sequence[Mapping[str, Any]] = ()
-    unfinished: str = ""
+    records: Sequence[Mapping[str, Any]] = ()  # lines of its `metrics.jsonl`
+    unfinished: str = ""  # how far it is, where it is not finished
 
 
 class Summary(NamedTuple):
@@ -41,16 +34,11 @@ class Summary(NamedTuple):
 
 @dataclass(frozen=True)
 class Group:
-    """Runs of the same settings.
+    """Runs of the same settings."""
 
-    Attributes:
-      name: of the runs, without the seed.
-      runs: by seed.
-      differs: the settings that most other groups have otherwise.
-    """
-
-    name: str
-    runs: tuple[ComparedRun, ...]
+    name: str  # of the runs, without the seed
+    runs: tuple[ComparedRun, ...]  # by seed
+    # The settings that most other groups have otherwise.
     differs: Mapping[str, Any] = field(default_factory=dict)
 
     def summarize(self, metric: str) -> Summary | None:

@@ -46,20 +46,16 @@ def fit_folder(
     """Fit the object of a folder; write its cloud, surface, fit.json and pictures.
 
     Args:
-      folder: of the images of one object. out: folder of the results.
+      folder: of the images of one object.
       poses: of `POSES`; "auto" takes those of the folder's pose file as they are where
         it has one.
       crop: how images are framed, see `DataSpec`. A box about the mask has another
         middle than the object, so translations are learned, too, where images are cut
         out so; cameras of known place and lens need none.
-      image_size: pixels that images are brought to.
-      is_colored: whether points learn colours.
       learn, settings, seed: see `fit`.
-      surface: format of the surface, see `write_surface`.
 
     Raises:
       ValueError: where no image can be used, or poses are asked for that are not there.
-      OSError: where files cannot be read or written.
     """
     started = time.perf_counter()
     hasten_compilation()
@@ -139,7 +135,6 @@ def _write(out: Path, found: Fit, arrays, names, asked, seconds, *, surface):
             predicted=found.silhouettes[i],
             points=found.points,
             colors=found.colors,
-            pose_error_deg=None,
             mesh=solid,
         )
         for i in find_rows(count, min(SHOWN, count))

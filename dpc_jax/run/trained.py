@@ -21,17 +21,12 @@ from dpc_jax.run.workdir import read_alignment, read_config
 
 
 class TrainedNetwork(NamedTuple):
-    """What a run has learned.
-
-    Attributes:
-      config: of the run. network, state: at its last checkpoint.
-      alignment: from the network's frame to the object frame.
-    """
+    """What a run has learned, at its last checkpoint."""
 
     config: Config
     network: ShapePoseNetwork
     state: TrainState
-    alignment: Alignment
+    alignment: Alignment  # from the network's frame to the object frame
 
 
 def load_trained(workdir: Path, *, cache_dir: str = "") -> TrainedNetwork:

@@ -4,17 +4,11 @@ from typing import NamedTuple
 
 
 class Place(NamedTuple):
-    """The place of a process in its job.
+    """The place of a process in its job."""
 
-    Attributes:
-      coordinator: HOST:PORT at which process 0 is found.
-      processes: how many the job has, at least 2.
-      process: which of them this one is, from 0.
-    """
-
-    coordinator: str
-    processes: int
-    process: int
+    coordinator: str  # HOST:PORT at which process 0 is found
+    processes: int  # how many the job has, at least 2
+    process: int  # which of them this one is, from 0
 
 
 def find_place(

@@ -22,31 +22,22 @@ SENTENCES = 20  # that are printed; predictions.json has all
 
 @dataclasses.dataclass(frozen=True)
 class PredictRequest:
-    """What predictions are asked for; the flags of the command by their names here.
+    """What predictions are asked for; the flags of the command by their names here."""
 
-    Attributes:
-      paths: image files, moving pictures, folders of views of an object or of such
-        folders. workdir: of the run. out: folder of the results.
-      crop: "view" cuts a square in which the object takes `DataSpec.fill`, "object" at
-        the scale that the largest of its views needs, "none" keeps the image's own
-        framing, which is that of training then. None is as in training on images, and
-        "view" for a network that was trained on renders.
-      mask: "given" or "auto", see `read_photographs`.
-      views: "each" image shows an object, or all of them "one-object".
-      is_refined: whether shape and poses are fitted to the silhouettes.
-      surface: format of surfaces, of `SURFACES`.
-      data: folder of rendered data sets; None for the workdir's own.
-    """
-
+    # Image files, moving pictures, folders of views of an object or of such folders.
     paths: Sequence[Path]
-    workdir: Path
-    out: Path
+    workdir: Path  # of the run
+    out: Path  # folder of the results
+    # "view" cuts a square in which the object takes `DataSpec.fill`, "object" at the
+    # scale that the largest of its views needs, "none" keeps the image's own framing,
+    # which is that of training then. None is as in training on images, and "view" for a
+    # network that was trained on renders.
     crop: str | None = None
-    mask: str = "given"
-    views: str = "each"
-    is_refined: bool = False
-    surface: str = "glb"
-    data: Path | None = None
+    mask: str = "given"  # or "auto", see `read_photographs`
+    views: str = "each"  # image shows an object, or all of them "one-object"
+    is_refined: bool = False  # whether shape and poses are fitted to the silhouettes
+    surface: str = "glb"  # of `SURFACES`
+    data: Path | None = None  # of rendered data sets; None for the workdir's own
 
 
 def predict_images(request: PredictRequest):

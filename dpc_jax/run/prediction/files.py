@@ -91,6 +91,5 @@ def _make_example(one: PredictedObject, view: int) -> Example:
         predicted=predicted,
         points=one.points,
         colors=one.colors,
-        pose_error_deg=None,
         mesh=one.mesh,
     )

@@ -32,33 +32,22 @@ from dpc_jax.run.workdir import read_alignment, read_config, read_metrics
 
 
 class PredictedObject(NamedTuple):
-    """An object as predicted, in the frame of the data where that is known.
+    """An object as predicted, in the frame of the data where that is known."""
 
-    Attributes:
-      photographs: its views. rows: of predictions, that these are.
-      points: [N, 3]. colors: [N, 3] or None.
-      poses: [V, 4], or None where the run predicts none.
-      silhouettes: [V, D, D].
-      cameras: of each view, what the run has learned of it by name.
-      mesh: vertices and faces of a surface that a voxel model predicts, or None.
-      is_aligned: whether the frame is that of the data.
-      confidences: of each view; None without an ensemble.
-      errors: [2, V] of silhouettes before and after refinement, per pixel, or None.
-      seconds: that its refinement took, compilation shared out, or None.
-    """
-
-    photographs: Photographs
-    rows: np.ndarray
-    points: np.ndarray
-    colors: np.ndarray | None
-    poses: np.ndarray | None
-    silhouettes: np.ndarray
-    cameras: list[dict[str, Any]]
+    photographs: Photographs  # its views
+    rows: np.ndarray  # of predictions, that these are
+    points: np.ndarray  # [N, 3]
+    colors: np.ndarray | None  # [N, 3]
+    poses: np.ndarray | None  # [V, 4]; None where the run predicts none
+    silhouettes: np.ndarray  # [V, D, D]
+    cameras: list[dict[str, Any]]  # what the run has learned of each view, by name
+    # Vertices and faces of a surface that a voxel model predicts.
     mesh: tuple[np.ndarray, ...] | None = None
-    is_aligned: bool = False
-    confidences: list[Confidence] | None = None
+    is_aligned: bool = False  # whether the frame is that of the data
+    confidences: list[Confidence] | None = None  # of views; None without an ensemble
+    # [2, V] of silhouettes before and after refinement, per pixel.
     errors: np.ndarray | None = None
-    seconds: float | None = None
+    seconds: float | None = None  # that its refinement took, compilation shared out
 
 
 def predict_objects(

@@ -16,22 +16,14 @@ GROUPS = ("Worst", "Median", "Best")
 
 
 class Judged(NamedTuple):
-    """Predictions for a data set, and how good they are.
-
-    Attributes:
-      predictions, dataset: of the same views.
-      alignment: from the network's frame to the object frame.
-      scores: of the predictions.
-      distance: of the camera.
-      threshold: of the surfaces of a voxel model; None of others.
-    """
+    """Predictions for a data set, and how good they are."""
 
     predictions: Predictions
     dataset: DataSet
-    alignment: Alignment
+    alignment: Alignment  # from the network's frame to the object frame
     scores: Scores
-    distance: float
-    threshold: float | None = None
+    distance: float  # of the camera
+    threshold: float | None = None  # of the surfaces of a voxel model; None of others
 
 
 def choose_views(

@@ -26,21 +26,14 @@ REFERENCES = ("floor", "mean_shape", "nearest_shape", "own_mean")
 
 
 class TrainingShapes(NamedTuple):
-    """True surfaces of a training set, to be searched, and their mean shape.
+    """True surfaces of a training set, to be searched, and their mean shape."""
 
-    Attributes:
-      surfaces: [P, 3] points of each shape.
-      index: of the same.
-      mean: [N, 3].
-      read_visible: gives what is visible of each shape; None where it is not known.
-      visible_mean: [N, 3], the mean of that.
-    """
-
-    surfaces: Any
-    index: ShapeIndex
-    mean: np.ndarray
+    surfaces: Any  # [P, 3] points of each shape
+    index: ShapeIndex  # of the same
+    mean: np.ndarray  # [N, 3]
+    # Gives what is visible of each shape; None where it is not known.
     read_visible: Callable[[int], np.ndarray] | None = None
-    visible_mean: np.ndarray | None = None
+    visible_mean: np.ndarray | None = None  # [N, 3], the mean of that
 
     @classmethod
     def gather(cls, sets: dict[str, DataSet], most: int) -> "TrainingShapes | None":
