@@ -49,8 +49,7 @@ def make_parser() -> argparse.ArgumentParser:
 def read_flags(arguments: Sequence[str]) -> tuple[argparse.Namespace, Config]:
     """The flags, and the config with its fields as they say.
 
-    Raises:
-      ValueError: with one sentence on what is wrong with them.
+    What is wrong with them is a ValueError of one sentence.
     """
     options, rest = make_parser().parse_known_args(arguments)
     # Libraries of the extra "learn": --help does without.

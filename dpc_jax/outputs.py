@@ -65,11 +65,7 @@ def owning(
 
 @contextlib.contextmanager
 def trying_to_write(folder: Path, flag: str = "--out") -> Iterator[None]:
-    """Say in a sentence where a folder cannot be made or written.
-
-    Raises:
-      OSError: with the flag that names another one.
-    """
+    """Say in a sentence where a folder cannot be made or written, and the flag."""
     try:
         yield
     except OSError as error:

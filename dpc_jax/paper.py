@@ -48,11 +48,7 @@ def _read_seeds(text):
 
 
 def make_request(options: argparse.Namespace) -> Request:
-    """What the flags ask for.
-
-    Raises:
-      ValueError: for flags that do not fit together.
-    """
+    """What the flags ask for; ValueError where they do not fit together."""
     folder = options.shapenet
     if folder and not folder.is_dir():
         raise ValueError(

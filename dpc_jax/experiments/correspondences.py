@@ -40,7 +40,6 @@ MEASURES = (
     "How far points follow their keypoint (0: not, 1: all the way)",
 )
 Indices = Sequence[np.ndarray]  # for each of K keypoints the indices [n_k] of points
-Figures = list[tuple[Path, str]]  # with their captions
 
 
 class LabelledShapes(NamedTuple):
@@ -52,14 +51,14 @@ class LabelledShapes(NamedTuple):
     keypoints: np.ndarray  # [n, K, 3] true ones; NaN where a shape has none
 
 
-def run(out: Path, workdir: Path) -> tuple[dict[str, float], Figures]:
+def run(out: Path, workdir: Path) -> tuple[dict[str, float], list[tuple[Path, str]]]:
     """Transfer keypoints in a finished run on procedural shapes; measure and draw it.
 
     Args:
       out: folder of the figures. workdir: of the run.
 
     Returns:
-      The measures of each of `METHODS`, and the figures.
+      The measures of each of `METHODS`, and the figures with their captions.
     """
     finished = load_trained(workdir)
     labels = list(name_keypoints(finished).values())
@@ -195,10 +194,7 @@ def select_indices(
 def select_nearest(
     cloud: ArrayLike, positions: ArrayLike, counts: Sequence[int]
 ) -> list[np.ndarray]:
-    """For each position [K, 3] the indices of that many points of a cloud near it.
-
-    A baseline: it transfers places instead of indices.
-    """
+    """For each position [K, 3] the indices of that many points of a cloud near it."""
     away = np.linalg.norm(np.asarray(cloud) - np.asarray(positions)[:, None], axis=-1)
     pairs = zip(away, counts, strict=True)
     return [np.argpartition(row, count - 1)[:count] for row, count in pairs]

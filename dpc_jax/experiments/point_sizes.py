@@ -18,11 +18,10 @@ from dpc_jax.run.trained import load_split, load_trained
 from dpc_jax.run.workdir import read_config, read_metrics
 
 SHOWN = 5  # chairs in a figure
-Figures = list[tuple[Path, str]]  # with their captions
 
 
-def run(out: Path, workdirs: Sequence[Path]) -> tuple[dict[str, float], Figures]:
-    """No measures, and the figures of finished runs of all kinds."""
+def run(out: Path, workdirs: Sequence[Path]) -> tuple[dict, list[tuple[Path, str]]]:
+    """No measures, and the figures of finished runs of all kinds with captions."""
     return {}, [draw_errors(out, workdirs), draw_shapes(out, workdirs)]
 
 

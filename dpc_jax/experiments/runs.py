@@ -135,11 +135,7 @@ class Run:
         return [f"--config={config}", *flags]
 
     def load_config(self) -> Config:
-        """The config that these flags stand for, after all its checks.
-
-        Raises:
-          ValueError: for a config that cannot work.
-        """
+        """The config that these flags stand for; ValueError where it cannot work."""
         module = runpy.run_path(str(configs.list_shipped()[self.category]))
         edited = module["get_config"](self.variant or None)
         edited.update_from_flattened_dict({"seed": self.seed} | dict(self.changes))

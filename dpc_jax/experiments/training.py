@@ -136,7 +136,7 @@ def train_missing(
 
 
 def _train(job: Job, core: int, stop: threading.Event, program: Sequence[str]) -> str:
-    """Train one run; why it failed, or "" where it did not."""
+    """Train one run; why it failed, or ""."""
     name, started = job.run.name, time.monotonic()
     _say(f"{name}: begins")
     try:

@@ -26,11 +26,7 @@ class TensorBoardLog(MetricLog):
         self._folder, self._writer = folder, None
 
     def write(self, record: dict):
-        """Append one record.
-
-        Raises:
-          OSError: where the disk is full.
-        """
+        """Append one record; OSError where the disk is full."""
         super().write(record)
         self._add_record(record)
 

@@ -108,11 +108,7 @@ def read_config(workdir: Path) -> Config:
 
 
 def read_metrics(workdir: Path) -> dict[str, Any] | None:
-    """The metrics of a run's report; None where there is none yet.
-
-    Raises:
-      ValueError: where they cannot be read.
-    """
+    """The metrics of a run's report; None without one, ValueError where damaged."""
     path = workdir / "report" / "metrics.json"
     if not path.is_file():
         return None
@@ -127,11 +123,7 @@ def write_alignment(workdir: Path, alignment: Alignment) -> Path:
 
 
 def read_alignment(workdir: Path) -> Alignment | None:
-    """The canonical alignment of a finished run; None where there is none.
-
-    Raises:
-      ValueError: where the file is damaged.
-    """
+    """The canonical alignment of a run; None without one, ValueError where damaged."""
     path = workdir / _ALIGNMENT
     if not path.is_file():
         return None

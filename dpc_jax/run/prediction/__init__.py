@@ -117,11 +117,7 @@ def knows_distance(config: Config, crop: str) -> bool:
 
 
 def check_ability(config: Config, what: str):
-    """Refuse what needs codes of points, and poses, of a run that has none.
-
-    Raises:
-      ValueError: with a sentence that names what was asked for.
-    """
+    """Refuse what needs codes of points, and poses, of a run that has none."""
     lacking = "was given its poses" if config.pose.known else ""
     if config.network.shape != "points":
         lacking = f"predicts {config.network.shape}"
