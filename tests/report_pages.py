@@ -23,7 +23,7 @@ def make_images(rng):
     return ViewImages(share, *pair)
 
 
-def make_example(name, *, group="", has_truth=True, has_colors=True, seed=0):
+def make_example(name, *, group="", has_truth=True, seed=0):
     """An ellipsoid of points, predicted a little too large."""
     rng = np.random.default_rng(seed)
     directions = rng.normal(size=(300, 3))
@@ -39,7 +39,7 @@ def make_example(name, *, group="", has_truth=True, has_colors=True, seed=0):
         target=rng.uniform(size=(16, 16)),
         predicted=rng.uniform(size=(32, 32)),  # of its own size
         points=1.1 * truth,
-        colors=rng.uniform(size=(300, 3)) if has_colors else None,
+        colors=rng.uniform(size=(300, 3)),
         pose_error_deg=12.0 if has_truth else None,
         group=group,
         chamfer=4.2 if has_truth else None,

@@ -131,7 +131,7 @@ def test_two_processes_learn_what_one_with_two_devices_learns(command, alone):
 
 def test_all_stop_where_one_is_asked_to_and_one_process_goes_on(command, alone):
     workdir = command.folder / "stopped"
-    processes = command.start_two(workdir, **{"train.steps": STEPS})
+    processes = command.start_two(workdir)
     wait_for_step(workdir, 3, processes)
     processes[1].send_signal(signal.SIGTERM)
     out, _ = finish(processes[0])

@@ -23,7 +23,7 @@ from orbax.checkpoint import v1 as ocp
 from PIL import Image
 
 from dpc_jax import predict, rotation_angle_deg
-from dpc_jax.config import from_config_dict
+from dpc_jax.config import from_config_dict, replace_fields
 from dpc_jax.data.dataset import read_cache
 from dpc_jax.data.disturbances import DISTURBANCES
 from dpc_jax.data.viewpoints import look_at_rotation
@@ -31,7 +31,7 @@ from dpc_jax.evaluation.metrics import get_metric
 from dpc_jax.learning.inference import refinement
 from dpc_jax.learning.inference.refinement import join_views
 from dpc_jax.run import pipeline
-from dpc_jax.run.report.judging import judge_finally, judge_photographs
+from dpc_jax.run.report import judging
 from dpc_jax.run.viewing.network_shapes import NetworkShapes
 from dpc_jax.run.workdir import read_config
 
@@ -199,7 +199,7 @@ def test_a_finished_run_started_again_only_reports_again(
 
 def test_a_finished_run_is_judged_on_objects_that_no_split_has(command, finished):
     workdir, _ = finished
-    found = judge_finally(workdir)
+    found = judging.judge_finally(workdir)
     kept = json.loads((workdir / "final.json").read_text())
     assert kept == {n: v if v is None else pytest.approx(v) for n, v in found.items()}
     assert found["pose_accuracy_stderr"] >= 0 and found["visible_floor_chamfer"] > 0
@@ -216,10 +216,10 @@ def test_a_finished_run_is_judged_on_objects_that_no_split_has(command, finished
 
 
 def test_a_finished_run_is_judged_on_photographs_of_its_test_objects(
-    finished, capsys, tmp_path
+    finished, capsys, monkeypatch
 ):
     workdir, _ = finished
-    found = judge_photographs(workdir)
+    found = judging.judge_photographs(workdir)
     assert [*found] == ["renders", "photographs", *DISTURBANCES]
     kept = json.loads((workdir / "photographs.json").read_text())
     assert kept["photographs"]["chamfer"] == pytest.approx(
@@ -232,16 +232,14 @@ def test_a_finished_run_is_judged_on_photographs_of_its_test_objects(
     chamfers = {name: round(one["chamfer"], 4) for name, one in found.items()}
     assert len({*chamfers.values()}) >= len(chamfers) - 1  # each shows other images
     assert "Wrong mask: pose accuracy" in capsys.readouterr().out
-    other = tmp_path / "config.json"
-    config = json.loads((workdir / "config.json").read_text())
-    for section, field, value, words in (
-        ("pose", "source", "given", "was given its poses"),
-        ("network", "shape", "voxels", "predicts voxels"),
+    for changes, words in (
+        ({"pose": {"source": "given"}}, "was given its poses"),
+        ({"network": {"shape": "voxels"}}, "predicts voxels"),
     ):
-        changed = {section: config[section] | {field: value}}
-        other.write_text(json.dumps(config | changed))
+        other = replace_fields(read_config(workdir), changes)
+        monkeypatch.setattr(judging, "read_config", lambda _, other=other: other)
         with pytest.raises(ValueError, match=words):
-            judge_photographs(tmp_path)
+            judging.judge_photographs(workdir)
 
 
 def test_a_finished_run_is_judged_on_meshes_of_another_source(finished, tmp_path):
@@ -254,11 +252,11 @@ def test_a_finished_run_is_judged_on_meshes_of_another_source(finished, tmp_path
     config = json.loads((run / "config.json").read_text())
     config["data"]["cache_dir"] = str(tmp_path / "data")
     (run / "config.json").write_text(json.dumps(config))
-    assert judge_finally(run, tmp_path / "boxes")["objects"] == 2
+    assert judging.judge_finally(run, tmp_path / "boxes")["objects"] == 2
     config["data"]["meshes"] = str(tmp_path / "boxes")
     (run / "config.json").write_text(json.dumps(config))
     with pytest.raises(ValueError, match="--final_meshes=DIR"):
-        judge_finally(run)
+        judging.judge_finally(run)
 
 
 @pytest.fixture(scope="module")
@@ -414,12 +412,6 @@ def make_boxes(folder, count):
     return str(folder)
 
 
-def make_photos(folder, count):
-    for i in range(count):
-        write_photos(folder / f"object{i}", views=2 + i, seed=i)
-    return str(folder)
-
-
 def predict_points(workdir):
     """The points that a run predicts of a grey square, [N, 3]."""
     image = np.zeros((16, 16, 4), np.uint8)
@@ -462,7 +454,10 @@ def test_known_and_labelled_poses_and_another_source_with_one_head_run_too(
         others = make_boxes(command.folder / "others", 2)
         fields = fields | {"data.meshes": meshes, "data.test_meshes": others}
     if name == "images":
-        fields = fields | {"data.images": make_photos(command.folder / "photos", 6)}
+        photos = command.folder / "photos"
+        for i in range(6):
+            write_photos(photos / f"object{i}", views=2 + i, seed=i)
+        fields = fields | {"data.images": str(photos)}
     workdir = command.folder / name
     command.run_here(workdir, **fields, **short)
     out = capsys.readouterr().out
@@ -480,8 +475,7 @@ def test_known_and_labelled_poses_and_another_source_with_one_head_run_too(
         page = (workdir / "report" / "index.html").read_text(encoding="utf-8")
         assert "pose accuracy and pose errors are absent" in page
         assert "pose errors are absent" in out and "Test: Chamfer" in out
-        lines = (workdir / "metrics.jsonl").read_text().splitlines()
-        records = [json.loads(line) for line in lines]
+        records = read_records(workdir)
         assert [r["step"] for r in records if "loss" in r] == [1, 2]
     if name == "voxels":
         assert 0 < metrics["surface_threshold"] < 1

@@ -1,4 +1,4 @@
-"""Pictures of clouds as spheres, grids of pictures, animations."""
+"""Pictures of clouds as spheres, grids of pictures."""
 
 import types
 
