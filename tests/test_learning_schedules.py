@@ -13,6 +13,7 @@ from dpc_jax.learning.schedules import (
     compute_sigma,
     count_kept_points,
     find_stage,
+    is_framing,
     list_spans,
     make_learning_rate,
 )
@@ -208,3 +209,12 @@ def test_grids_beyond_128_begin_when_blocks_can_draw_their_points():
     wide = dataclasses.replace(large, sigma_end=0.04)
     assert find_stage(79, wide, steps=100).grid == 64
     assert find_stage(80, wide, steps=100).grid == 256
+
+
+def test_objects_are_turned_while_shapes_form_and_by_colors_to_the_end():
+    steps = np.arange(100)
+    by_points, by_colors = (
+        np.asarray(is_framing(steps, steps=100, by_colors=way)) for way in (False, True)
+    )
+    assert np.array_equal(by_points, (steps >= 20) & (steps < 50))
+    assert np.array_equal(by_colors, steps >= 20)

@@ -21,8 +21,10 @@ _WHOLE_UP_TO = 128
 # in 256³, cars touch up to 11 %, chairs 13, airplanes 3 (six of each); `project` draws
 # the whole volume for a cloud that touches more.
 _ROOM = 1 / 8
-# Shares of a run from which shapes have formed: objects are turned to one frame.
-FRAME_FROM = 0.2
+# Shares of a run between which objects are turned to one frame by their points. Before,
+# shapes have not formed; after, sharper ones of a kind that is right may look better
+# turned round, and a few of them lead it astray (docs/log.md).
+_FRAME_FROM, _FRAME_UNTIL = 0.2, 0.5
 PULL_FROM = 0.5  # before it poses are too often wrong to pull points into silhouettes
 # Steps until the peak rate: Adam's moments settle. Of short runs at most a fifth.
 WARMUP = 200
@@ -53,6 +55,12 @@ def count_kept_points(step: int, render: Render, *, steps: int) -> int:
     done = 1.0 if level == levels - 1 else (level + 0.5) / levels
     share = render.keep_start + done * (render.keep_end - render.keep_start)
     return max(1, round(share * render.num_points))
+
+
+def is_framing(step: chex.Numeric, *, steps: int, by_colors: bool) -> jax.Array:
+    """Whether objects are turned to one frame at a step; by colours to the end."""
+    step = jnp.asarray(step)
+    return (step >= _FRAME_FROM * steps) & (by_colors | (step < _FRAME_UNTIL * steps))
 
 
 class Stage(NamedTuple):

@@ -23,6 +23,8 @@ POINTS = 1000  # of a shape, that are looked at
 _IMAGE = 24  # side in which points hide each other
 _BEHIND = 0.06  # box diagonals, within which points of a pixel are seen
 _PAINT = 0.1  # share of a view from which on a colour counts less: it is its paint
+# Times that a sample counts beside a pixel of silhouettes: these err by whole outlines.
+_TRUST = 4.0
 _PRIOR = 500.0  # samples of the category's mean colours in each cell
 
 
@@ -100,15 +102,13 @@ def score_colors(counts: jax.Array) -> jax.Array:
 
 
 def judge_samples(samples: Samples, scores: jax.Array) -> jax.Array:
-    """Log-likelihood of all samples by `score_colors`, nats; ()."""
-    return jnp.sum(samples.weights * scores[find_cells(samples.places), samples.bins])
+    """Log-likelihood () of all samples by `score_colors`, as silhouettes count theirs."""
+    found = scores[find_cells(samples.places), samples.bins]
+    return _TRUST * jnp.sum(samples.weights * found)
 
 
 def compare_turns(samples: Samples, turns: jax.Array, scores: jax.Array) -> jax.Array:
-    """Mean log-likelihood [T] of samples after each of the turns [T, 4] of the object.
-
-    By `score_colors`, nats per sample.
-    """
+    """Means [T] of `judge_samples` after each of the turns [T, 4] of the object."""
 
     def fit(turn):
         places = quaternion.rotate(samples.places, turn)

@@ -58,7 +58,7 @@ class Frame(NamedTuple):
       colors: [CELLS³, BINS²] of colours, a moving sum over batches; None
         where they are not asked for.
       moments: [3, 1 or 2, T - 1] moving sums of 1, x and x², where x is what objects
-        gain by points, and by colours, after each half turn; nats per point or sample.
+        gain by points, and by colours, after each half turn, per point or sample.
       decisions: half turns that shapes may not have followed yet; None with colours,
         by which half turns are better not kept (docs/log.md).
     """

@@ -8,7 +8,7 @@ from dpc_jax.learning.poses.source import (
     predict_candidates,
 )
 from dpc_jax.learning.recipe import Recipe
-from dpc_jax.learning.schedules import FRAME_FROM
+from dpc_jax.learning.schedules import is_framing
 
 
 def find_poses(forward: ForwardPass, *, recipe: Recipe) -> ViewPoses:
@@ -22,6 +22,7 @@ def find_poses(forward: ForwardPass, *, recipe: Recipe) -> ViewPoses:
     if averages.frame is not None:
         from dpc_jax.learning.choice import common_frame  # where it is asked for
 
+        steps, by_colors = recipe.train.steps, averages.frame.colors is not None
         winners, frame, metrics["turned_back"] = common_frame.turn_back(
             winners,
             forward.shapes.find_cloud(),
@@ -32,7 +33,7 @@ def find_poses(forward: ForwardPass, *, recipe: Recipe) -> ViewPoses:
             cameras=cameras,
             views=forward.views,
             heads=pose.learned_heads,
-            is_due=forward.step >= FRAME_FROM * recipe.train.steps,
+            is_due=is_framing(forward.step, steps=steps, by_colors=by_colors),
         )
         averages = averages._replace(frame=frame)
     metrics["winners"] = winners.indices
