@@ -102,7 +102,7 @@ def score_colors(counts: jax.Array) -> jax.Array:
 
 
 def judge_samples(samples: Samples, scores: jax.Array) -> jax.Array:
-    """Log-likelihood () of all samples by `score_colors`, as silhouettes count theirs."""
+    """How well samples fit `score_colors`: () a log-likelihood beside silhouettes'."""
     found = scores[find_cells(samples.places), samples.bins]
     return _TRUST * jnp.sum(samples.weights * found)
 
