@@ -9,6 +9,9 @@ from scipy.spatial import KDTree
 _PAPER_UNITS = 100.0  # the paper's tables list distances times this, for diagonal 1
 _REACH = 0.1  # box diagonals, within which a point that is not stray has others
 _NEIGHBORS = 4  # so many
+# Points of a leaf. Queries of 100,000 points take two thirds of the time with SciPy's 10.
+_LEAF = 32
+_ALL_CORES = -1
 
 
 class Chamfer(NamedTuple):
@@ -46,13 +49,13 @@ class Surface:
         self.points = check_points(points, name=name)
         count = len(self.points)
         self._asked = spread_rows(self.points, min(asked or count, count))
-        self._tree = KDTree(self.points)
+        self._tree = KDTree(self.points, leafsize=_LEAF)
 
     def compare(self, predicted: ArrayLike) -> Chamfer:
         """Distances of a cloud [N, 3] from this surface."""
         predicted = check_points(predicted, name="predicted")
-        to_truth, _ = self._tree.query(predicted)
-        to_prediction, _ = KDTree(predicted).query(self._asked)
+        to_truth, _ = self._tree.query(predicted, workers=_ALL_CORES)
+        to_prediction, _ = KDTree(predicted).query(self._asked, workers=_ALL_CORES)
         return Chamfer(float(np.mean(to_truth)), float(np.mean(to_prediction)))
 
     def measure_floor(self, count: int) -> Chamfer:
