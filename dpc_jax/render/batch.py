@@ -104,14 +104,9 @@ def project_batch(
     shared, own = _sort_inputs(values, batch_size=batch_size)
     checks.check_values(values | {"rotations": rotations})
     own["rotation"] = rotations
-    has_one_size = sigma is not None and jnp.ndim(sigma) < 2  # for all of its points
-    has_blocks = has_one_size and method in ("auto", *splatting.ORDERS)
     is_whole = ray_rule == "maximum" or "termination" in signals
-    if max_blocks is None and has_blocks and not is_whole:
-        how = {"projection": camera.projection, "grid": grid, "method": method}
-        max_blocks = capacity.count_room(
-            lambda: _count_blocks(shared, own, **how), grid.shape, (shared, own)
-        )
+    if max_blocks is None and not is_whole:
+        max_blocks = _find_room(shared, own, camera.projection, grid, method)
     shared["background_depth"] = background_depth
     shared["background_color"] = background_color
     mesh = choose_mesh(devices, batch_size=batch_size)
@@ -207,6 +202,19 @@ def _take_camera(values, projection):
         into = lens if name.startswith("camera.") else rest
         into[name.removeprefix("camera.")] = value
     return rest, Camera(**lens)
+
+
+def _find_room(shared, own, projection, grid, method):
+    """Room for the blocks of each example; None where points are not drawn in such."""
+    sigma = own.get("sigma", shared.get("sigma"))
+    # One for all points of an example.
+    has_one_size = sigma is not None and jnp.ndim(sigma) == ("sigma" in own)
+    if not has_one_size or method not in ("auto", *splatting.ORDERS):
+        return None
+    how = {"projection": projection, "grid": grid, "method": method}
+    return capacity.count_room(
+        lambda: _count_blocks(shared, own, **how), grid.shape, (shared, own)
+    )
 
 
 @functools.partial(jax.jit, static_argnames=("projection", "grid", "method"))

@@ -60,24 +60,10 @@ def fit_folder(
     started = time.perf_counter()
     hasten_compilation()
     keep_compiled_programs()
-    if not folder.is_dir():
-        raise ValueError(
-            f"Expected a folder with the images of one object, but {folder} is not a "
-            "folder; put them into one."
-        )
     spec = DataSpec(
         "object", kind="images", folder=str(folder), image_size=image_size, crop=crop
     )
-    paths, arrays, notes = read_views(folder, spec)
-    for note in notes:
-        print(f"Warning: a view is left out: {show_text(note)}.", file=sys.stderr)
-    rotations = None if poses == "none" else arrays.get("quaternions")
-    if poses in ("given", "rough") and rotations is None:
-        raise ValueError(
-            f"--poses={poses} needs the poses of {folder}, but it has neither "
-            "poses.json nor transforms.json; add one (docs/data.md), or give "
-            "--poses=none."
-        )
+    names, arrays, rotations = _read_folder(folder, spec, poses)
     files = find_pose_files(folder)
     is_boxed = crop != "none" and all(path.name == QUATERNIONS for path in files)
     own = ("rotations",) * (poses == "rough") + ("translations",) * is_boxed
@@ -92,13 +78,32 @@ def fit_folder(
         seed=seed,
         on_progress=telling_tenths("Fitting"),
     )
-    names = [show_text(path.name) for path in paths]
     asked = {"poses": poses, "seed": seed, "settings": dataclasses.asdict(settings)}
     seconds = time.perf_counter() - started
     _write(out, found, arrays, names, asked, seconds, surface=surface)
     overlaps = dict(zip(names, found.overlaps, strict=True))
     for doubt in list_doubts(overlaps, is_searched=rotations is None):
         print(f"Warning: {doubt}.", file=sys.stderr)
+
+
+def _read_folder(folder: Path, spec: DataSpec, poses: str):
+    """(names of views, their arrays, rotations or None); warns of what is left out."""
+    if not folder.is_dir():
+        raise ValueError(
+            f"Expected a folder with the images of one object, but {folder} is not a "
+            "folder; put them into one."
+        )
+    paths, arrays, notes = read_views(folder, spec)
+    for note in notes:
+        print(f"Warning: a view is left out: {show_text(note)}.", file=sys.stderr)
+    rotations = None if poses == "none" else arrays.get("quaternions")
+    if poses in ("given", "rough") and rotations is None:
+        raise ValueError(
+            f"--poses={poses} needs the poses of {folder}, but it has neither "
+            "poses.json nor transforms.json; add one (docs/data.md), or give "
+            "--poses=none."
+        )
+    return [show_text(path.name) for path in paths], arrays, rotations
 
 
 def list_doubts(overlaps: Mapping[str, float], *, is_searched: bool) -> list[str]:

@@ -109,9 +109,7 @@ def fit(
     """
     begin, tell = time.perf_counter(), on_progress or (lambda *_: None)
     views = _check_views(silhouettes, depths, colors)
-    sides = settings.sides or list_sides(views["masks"].shape[-1])
-    steps = settings.steps[: len(sides)]
-    settings = dataclasses.replace(settings, sides=sides, steps=steps)
+    settings = _complete_settings(settings, views["masks"])
     _check_settings(settings, views["masks"], learn, is_searched=rotations is None)
     arguments.check_view(camera)
     key = jax.random.key(seed)
@@ -124,14 +122,10 @@ def fit(
         shape = len(views["masks"]), 4
         rotations = np.asarray(checks.check_array("rotations", rotations, shape))
         checks.check_values({"rotations": rotations})
-    weights = Weights(
-        1.0,
-        settings.depth_weight if "depths" in views else 0.0,
-        settings.color_weight if "images" in views else 0.0,
-    )
+    weights = _choose_weights(settings, views)
     cloud = _begin(rotations, key, settings, learn, has_colors=bool(weights.color))
     curve: list[dict[str, float]] = []
-    for number, side in enumerate(sides):
+    for number, side in enumerate(sides := settings.sides):
         done, total = sum(settings.steps[:number]), sum(settings.steps)
 
         def report(steps, loss, side=side, done=done, total=total):
@@ -150,6 +144,22 @@ def fit(
             cloud = split_points(cloud, own, parts=ratio**2, distance=0.5 / last)
         cloud = descend(cloud, targets, camera, stage, on_progress=report)
     return _finish(cloud, targets["silhouette"], settings, camera, curve)
+
+
+def _complete_settings(settings: FitSettings, masks) -> FitSettings:
+    """With the sides of the images where none are given."""
+    sides = settings.sides or list_sides(masks.shape[-1])
+    steps = settings.steps[: len(sides)]
+    return dataclasses.replace(settings, sides=sides, steps=steps)
+
+
+def _choose_weights(settings: FitSettings, views) -> Weights:
+    """0 for what the views do not show."""
+    return Weights(
+        1.0,
+        settings.depth_weight if "depths" in views else 0.0,
+        settings.color_weight if "images" in views else 0.0,
+    )
 
 
 def list_sides(finest: int) -> tuple[int, ...]:

@@ -80,14 +80,14 @@ def train(
         step, and where the loss has grown far above that of the first step. Nothing is
         saved then: the last checkpoint is the last good state.
     """
-    start, steps, due = int(state.step), config.train.steps, config.log
+    start, steps = int(state.step), config.train.steps
     watch = Stopwatch(seconds)
     window = Window(start, seconds, heads=config.pose.learned_heads)
     spans = schedules.list_spans(config.render, steps=steps)
     forecast = Forecast(
         steps,
         start=start,
-        validate_every=due.evaluate if evaluate else None,
+        validate_every=config.log.evaluate if evaluate else None,
         validations_after=validations_after,
     )
     make_step = functools.partial(make_train_step, network, config)
@@ -96,36 +96,81 @@ def train(
         ProgressReport(title, total=steps, start=start) as progress,
         StagePrograms(make_step, spans, check=check) as programs,
     ):
-        log_steps = functools.partial(_log_steps, log, forecast, progress)
+        kept = log, checkpoints, evaluate, watch, window, forecast, progress
+        books = _Books(config, *kept)
         for done in range(start + 1, steps + 1):
             batch = make_batch(dataset, done - 1, config)
             program = programs.find(done - 1) or _begin_stage(
                 programs, (done - 1, state, batch), progress, window, stops_waiting
             )
             if program is None:  # asked to stop while it compiled
-                if not window.is_empty:
-                    log_steps(done - 1, window.close(watch.seconds))
-                checkpoints.save(state, seconds=watch.seconds)
+                books.record(done - 1)
+                books.save(state)
                 return Outcome(state, watch.seconds, False)
             if done == start + 1:
                 programs.run_ahead(prepare)
             state, metrics = program(state, batch)
             window.add(metrics)
             progress.advance(done)
-            stops, is_finished = should_stop(), done == steps
-            is_last = stops or is_finished
-            if _is_due(done, due.every) or is_last:
-                log_steps(done, window.close(watch.seconds))
-            if evaluate and (_is_due(done, due.evaluate) or is_finished):
-                window.check()
-                _validate(evaluate, state, watch, forecast, log, progress)
-            if _is_due(done, due.checkpoint) or is_last:
-                window.check()
-                checkpoints.save(state, seconds=watch.seconds)
-            if stops and not is_finished:
+            stops = should_stop()
+            books.settle(done, state, stops=stops)
+            if stops and done < steps:
                 return Outcome(state, watch.seconds, False)
             programs.raise_failures()
     return Outcome(state, watch.seconds, True)
+
+
+class _Books(NamedTuple):
+    """Log, validation and checkpoints of a run, after the steps where they are due."""
+
+    config: Config
+    log: MetricLog
+    checkpoints: Checkpoints
+    evaluate: Callable[[TrainState], dict[str, float]] | None
+    watch: Stopwatch
+    window: Window
+    forecast: Forecast
+    progress: ProgressReport
+
+    def settle(self, done: int, state: TrainState, *, stops: bool):
+        """What is due after `done` steps, the last of this call where it stops."""
+        due, is_finished = self.config.log, done == self.config.train.steps
+        is_last = stops or is_finished
+        if is_last or _is_due(done, due.every):
+            self.record(done)
+        if self.evaluate and (is_finished or _is_due(done, due.evaluate)):
+            self.window.check()
+            self._validate(self.evaluate, done, state)
+        if is_last or _is_due(done, due.checkpoint):
+            self.window.check()
+            self.save(state)
+
+    def record(self, done: int):
+        """Write the record of the steps since the last one, and show it."""
+        if self.window.is_empty:
+            return
+        record = self.window.close(self.watch.seconds)
+        self.log.write(record)
+        self.forecast.add_rate(done, record["steps_per_second"])
+        self.progress.report(
+            done,
+            loss=record["loss"],
+            steps_per_second=record["steps_per_second"],
+            seconds_left=self.forecast.compute_left(done),
+        )
+
+    def save(self, state: TrainState):
+        """Save a checkpoint."""
+        self.checkpoints.save(state, seconds=self.watch.seconds)
+
+    def _validate(self, evaluate, done, state):
+        seconds, started = self.watch.seconds, time.monotonic()
+        with self.watch.paused():
+            scores = evaluate(state)
+        self.forecast.add_validation(time.monotonic() - started)
+        self.log.write({"step": done, "seconds": round(seconds, 3)} | scores)
+        found = describe_metrics(scores, share_digits=2)
+        self.progress.tell(f"Validation at step {done}: {found}")
 
 
 def _begin_stage(programs, step_state_batch, progress, window, should_stop):
@@ -134,29 +179,6 @@ def _begin_stage(programs, step_state_batch, progress, window, should_stop):
         return programs.begin(*step_state_batch)
     with window.waiting(), progress.compiling():
         return programs.begin(*step_state_batch, should_stop=should_stop)
-
-
-def _validate(evaluate, state, watch, forecast, log, progress):
-    """Write and show the scores of a validation."""
-    step, seconds, started = int(state.step), watch.seconds, time.monotonic()
-    with watch.paused():
-        scores = evaluate(state)
-    forecast.add_validation(time.monotonic() - started)
-    log.write({"step": step, "seconds": round(seconds, 3)} | scores)
-    found = describe_metrics(scores, share_digits=2)
-    progress.tell(f"Validation at step {step}: {found}")
-
-
-def _log_steps(log, forecast, progress, done, record):
-    """Write a record, and show it with the time left."""
-    log.write(record)
-    forecast.add_rate(done, record["steps_per_second"])
-    progress.report(
-        done,
-        loss=record["loss"],
-        steps_per_second=record["steps_per_second"],
-        seconds_left=forecast.compute_left(done),
-    )
 
 
 def _is_due(step: int, interval: int) -> bool:
