@@ -92,12 +92,30 @@ def test_silhouettes_of_all_sizes_and_places_are_alike_in_their_frames(middle, s
     assert np.mean((cut(one) - cut(other)) ** 2) < 0.008
 
 
+@pytest.mark.parametrize(
+    ("middle", "size"), [((0.012, 0.0), 1.0), ((0.0, -0.03), 1.0), ((0, 0), 1.1)]
+)
+def test_a_frame_is_fitted_where_moments_are_pixels_off(middle, size):
+    given, seen = draw_shape(), draw_shape(middle=middle, size=size)
+    start = framing.Frame(jnp.zeros(2), jnp.ones(()))
+    found = framing.fit_frame(start, seen, given)
+    # A third of a pixel of 64, and a fifth of the size: the first order leaves these.
+    np.testing.assert_allclose(found.centre, middle, atol=0.005)
+    assert abs(float(found.side) - size) < 0.02
+    left = np.sum((framing.cut_silhouettes(seen, found) - given) ** 2)
+    assert left < 0.2 * np.sum((seen - given) ** 2)
+
+
 def test_what_shows_nothing_has_a_frame():
     nothing = np.zeros((2, SIDE, SIDE), np.uint8)
     by_box, by_moments = framing.frame_by_box, framing.frame_by_moments
     for frame in (by_box(nothing), by_moments(nothing / 255)):
         assert np.isfinite(frame.centre).all() and (np.asarray(frame.side) > 0).all()
         assert not np.asarray(framing.cut_silhouettes(nothing / 255, frame)).any()
+    start = framing.frame_by_moments(nothing[0] / 255)
+    for silhouettes in (nothing / 255, (draw_shape(), nothing[0] / 255)):
+        found = framing.fit_frame(start, *silhouettes)
+        assert np.isfinite(found.centre).all() and found.side > 0
 
 
 def test_photographs_come_to_the_place_and_size_of_what_is_predicted():

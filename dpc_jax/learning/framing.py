@@ -4,7 +4,7 @@ Renders of a data set are seen from one distance, with the middle of the object 
 middle of the image. A photograph says neither. So the network learns from both: half of
 the views of a batch are framed by the box of their mask. Silhouettes, of which one is
 predicted, are compared after both are framed by their moments, which change little
-where a mask is wrong by some pixels.
+where a mask is wrong by some pixels; what is left of shift and size does not count.
 
 `data.sets.framing` cuts files out once, before training; this is done in its programs.
 """
@@ -20,6 +20,7 @@ from dpc_jax.config import FILL
 
 Array = jax.Array | np.ndarray
 
+_FARTHEST = 0.1  # widths that a frame by moments may be moved by, and share of its side
 _SPREAD = 0.25  # root mean square distance from the centre in a frame by moments
 
 
@@ -101,6 +102,25 @@ def cut_out(images: Array, frame: Frame) -> jax.Array:
 def cut_silhouettes(silhouettes: Array, frame: Frame) -> jax.Array:
     """`cut_out` of silhouettes [..., S, S]."""
     return cut_out(silhouettes[..., None], frame)[..., 0]
+
+
+def fit_frame(frame: Frame, silhouette: Array, wanted: Array) -> Frame:
+    """The frame in which a silhouette [S, S] is more like `wanted` [S, S].
+
+    A Gauss-Newton step of the shift and the size from `frame`: where a mask or a shape
+    is wrong by some pixels, so are its moments.
+    """
+    seen, size = cut_silhouettes(silhouette, frame), len(silhouette)
+    places = _list_places(size)
+    down, right = (size * edges for edges in jnp.gradient((seen + wanted) / 2))
+    larger = places[:, None] * down + places[None] * right
+    moves = jnp.stack([down, right, larger]).reshape(3, -1)
+    # What has no edges does not change when it moves; with the 1 it can be solved.
+    fitted = jnp.linalg.solve(
+        moves @ moves.T + jnp.eye(3), moves @ (seen - wanted).ravel()
+    )
+    fitted = jnp.clip(fitted, -_FARTHEST, _FARTHEST)
+    return Frame(frame.centre - frame.side * fitted[:2], frame.side * (1 - fitted[2]))
 
 
 def _list_places(size):

@@ -7,7 +7,12 @@ import jax
 import jax.numpy as jnp
 
 from dpc_jax.config import Config
-from dpc_jax.learning.framing import Frame, cut_silhouettes, frame_by_moments
+from dpc_jax.learning.framing import (
+    Frame,
+    cut_silhouettes,
+    fit_frame,
+    frame_by_moments,
+)
 from dpc_jax.learning.shapes import find_shape_class
 from dpc_jax.learning.shapes.kind import Scene, View, place_view
 from dpc_jax.learning.signals import (
@@ -88,7 +93,8 @@ def compare_poses(
         view = _place_view(pose, own, side, config)
         image = kind.render(scene, view, signals=("silhouette",)).silhouette
         assert image is not None
-        return jnp.sum((cut_silhouettes(image, frame_by_moments(image)) - framed) ** 2)
+        found = fit_frame(frame_by_moments(image), image, framed)
+        return jnp.sum((cut_silhouettes(image, found) - framed) ** 2)
 
     return map_renders(compare, poses, renders_at_once=at_once)
 
