@@ -7,11 +7,14 @@ judges nothing.
 
 import argparse
 import contextlib
+import itertools
 import shlex
 import sys
+from collections.abc import Callable
+from functools import partial
 from pathlib import Path
 
-from dpc_jax.measure.benchmark.plan import FULL, PARTS, QUICK, SEED
+from dpc_jax.measure.benchmark.plan import FULL, PARTS, QUICK, SEED, Plan
 from dpc_jax.task import FlagParser, Task, reading_names, run_command
 
 WRITES = ("benchmark.md", "benchmark.json", "error.png")
@@ -48,11 +51,46 @@ def _read(arguments):
     )
 
 
+def list_tasks(
+    part: str, plan: Plan
+) -> list[tuple[str, Callable[[], dict | list[dict]]]]:
+    """What a part measures, by name, and the call that gives its record, or several."""
+    # Heavy: flags are read first.
+    from dpc_jax.measure import scenes
+    from dpc_jax.measure.benchmark import accuracy, speed
+
+    turns = {"rounds": plan.rounds}
+    if part == "speed":
+        peers = speed.compare_with_peers
+        tasks = [(str(case), partial(peers, case, **turns)) for case in plan.cases]
+        sizes = partial(speed.compare_sizes, plan.sized, **turns)
+        return [*tasks, ("a sigma per point", sizes)]
+    if part == "sizes":
+        volumes = partial(speed.compare_volumes, **turns)
+        return [
+            (f"{'+'.join(signals)}, {case}", partial(volumes, case, signals))
+            for case, signals in plan.sizes
+        ]
+    made = scenes.make_scenes(
+        num_points=plan.scene_points, num_sparse=plan.sparse_points, seed=SEED
+    )
+    settings = [
+        accuracy.Setting(*family, side)
+        for side in plan.sides
+        for family in accuracy.FAMILIES
+    ]
+    errors = partial(accuracy.measure_scene, plan=plan, settings=settings)
+    return [
+        (f"{scene.name}, σ={sigma:g}", partial(errors, scene, sigma))
+        for scene, sigma in itertools.product(made, plan.sigmas)
+    ]
+
+
 def _measure(options, command):
     """Measure part by part, and write the report after each: parts take minutes."""
-    # Heavy: flags are read first.
+    # Heavy, as above.
     from dpc_jax.learning.training.progress import ProgressReport
-    from dpc_jax.measure.benchmark import pytorch, report, suite
+    from dpc_jax.measure.benchmark import pytorch, report
     from dpc_jax.measure.timing import describe_machine
     from dpc_jax.render import use_all_cores
     from dpc_jax.run.process import keep_freed_memory
@@ -70,7 +108,7 @@ def _measure(options, command):
         "reference_side": plan.reference_side,
         "base_side": plan.base_side,
     }
-    tasks = {p: suite.list_tasks(p, plan) for p in PARTS if p in options.parts}
+    tasks = {p: list_tasks(p, plan) for p in PARTS if p in options.parts}
     step, total = 0, sum(map(len, tasks.values()))
     with ProgressReport("Benchmark", total=total) as progress:
         for part, measures in tasks.items():

@@ -7,7 +7,7 @@ import pytest
 
 from dpc_jax import benchmark, stability
 from dpc_jax.measure import scenes, timing
-from dpc_jax.measure.benchmark import accuracy, plan, report, speed, suite
+from dpc_jax.measure.benchmark import accuracy, plan, report, speed
 
 TINY = plan.Case(batch=2, points=40, side=8, sigma=1.0)
 SURFACE = plan.Case(1, points=200, side=32, sigma=0.5), ("silhouette", "color")
@@ -154,7 +154,7 @@ def test_parts_before_a_failing_one_are_kept(tmp_path, monkeypatch, capsys):
 
     done = make_results()["speed"]
     tasks = {"speed": [("one", lambda: done)], "sizes": [("car", fail)]}
-    monkeypatch.setattr(suite, "list_tasks", lambda part, plan: tasks[part])
+    monkeypatch.setattr(benchmark, "list_tasks", lambda part, plan: tasks[part])
     assert benchmark.main(["--parts=speed,sizes", f"--out={tmp_path}"]) == 1
     assert "Error: no memory left" in capsys.readouterr().err
     text = (tmp_path / "benchmark.md").read_text(encoding="utf-8")

@@ -49,6 +49,7 @@ class Setting(NamedTuple):
         return f"{self.family}, {self.side}³"
 
 
+@jax.enable_x64(True)  # otherwise float64 is computed in float32
 def measure_scene(
     scene: Scene, sigma: float, *, plan: Plan, settings: Sequence[Setting]
 ) -> list[dict[str, Any]]:
@@ -96,15 +97,8 @@ def _prepare(scene, sigma, setting, plan, target) -> tuple[Callable, Callable]:
     if setting.is_compensated:
         sigma = float(compensate_widening(sigma))
     values = (scene.points, scene.pose, mass, sigma, target)
-    with jax.enable_x64(True):
-        values = [jnp.asarray(value, setting.dtype) for value in values]
-
-    def call(program, *values):
-        with jax.enable_x64(True):  # otherwise float64 is computed in float32
-            return program(*values)
-
-    call_image = functools.partial(call, image, *values[:4])
-    return call_image, functools.partial(call, gradient, *values)
+    values = [jnp.asarray(value, setting.dtype) for value in values]
+    return functools.partial(image, *values[:4]), functools.partial(gradient, *values)
 
 
 @functools.lru_cache
