@@ -14,8 +14,7 @@ from dpc_jax.files import write_json, write_text
 from dpc_jax.reporting import figures
 from dpc_jax.reporting.examples import Example
 from dpc_jax.reporting.export import write_files
-from dpc_jax.reporting.gallery import draw_predictions
-from dpc_jax.reporting.signals import draw_signals
+from dpc_jax.reporting.gallery import draw_predictions, draw_signals
 from dpc_jax.reporting.tables import make_table
 from dpc_jax.reporting.web import viewer
 from dpc_jax.reporting.web.markup import assemble_page, embed_chart
