@@ -82,7 +82,8 @@ def test_sizes_on_a_finer_grid_keep_each_density():
         shape = (cells,) * 3
         places, _ = oracles.place(points, POSE, shape=shape)
         masses = np.full(len(points), mass)
-        volumes.append(oracles.sum_gaussians(places, masses, sigma, shape))
+        round_ones = np.tile(sigma**2 * np.eye(3), (len(points), 1, 1))
+        volumes.append(oracles.sum_covariances(places, masses, round_ones, shape))
     coarse, fine = volumes
     # Of three fine cells per side the middle one has the centre of the coarse cell.
     same = fine[1::ratio, 1::ratio, 1::ratio]

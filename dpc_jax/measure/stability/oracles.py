@@ -100,7 +100,7 @@ def splat(coordinates: Array, values: Array, shape: Shape, order: int = 1) -> Ar
         _find_splines(x, size, order)
         for x, size in zip(coordinates.T, shape, strict=True)
     ]
-    return _sum_products(np.where(is_inside, values, 0), weights)
+    return np.einsum("n,ni,nj,nk->ijk", np.where(is_inside, values, 0), *weights)
 
 
 def _find_splines(places, size, order=1):
@@ -119,10 +119,6 @@ def _find_splines(places, size, order=1):
     # Beyond the last knot the powers cancel, but for rounding.
     is_near = (np.real(away) > -half) & (np.real(away) <= half)
     return np.where(is_near, weights, 0) / math.factorial(order)
-
-
-def _sum_products(values, weights):
-    return np.einsum("n,ni,nj,nk->ijk", values, *weights)
 
 
 def weigh(cells: Array, center: Number, sigma: Number) -> Array:
@@ -149,18 +145,6 @@ def smooth(volume: Array, sigma: Number) -> Array:
         matrix = weigh(np.arange(size), np.arange(size)[:, None], sigma)
         volume = np.moveaxis(np.tensordot(matrix, volume, axes=(1, axis)), 0, axis)
     return volume
-
-
-def sum_gaussians(
-    coordinates: Array, masses: Array, sigmas: Number, shape: Shape
-) -> Array:
-    """Σ of separable Gaussians; one sigma for all, or one each."""
-    sigmas = sigmas * np.ones(len(coordinates))
-    weights = [
-        np.array([weigh(np.arange(size), *one) for one in zip(x, sigmas, strict=True)])
-        for x, size in zip(coordinates.T, shape, strict=True)
-    ]
-    return _sum_products(masses, weights)
 
 
 def sum_covariances(
@@ -237,12 +221,13 @@ def project(
     if method == "covariance":
         ahead = rotate(points, rotation) + translation + distance * np.eye(3)[2]
         sizes = move_covariances(sizes, rotation, ahead, focal, shape=shape)
+    if method == "gaussian":
+        sigmas = sizes * np.ones(len(points))
+        sizes = sigmas[:, None, None] ** 2 * np.eye(3)
 
     def fill(values):
-        if method == "covariance":
+        if method in ("covariance", "gaussian"):
             return sum_covariances(coordinates, values, sizes, shape)
-        if method == "gaussian":
-            return sum_gaussians(coordinates, values, sizes, shape)
         order = {"trilinear": 1, "quadratic": 2, "cubic": 3}[method]
         # Less the variance of the spline, but of the trilinear one.
         left = sizes * sizes - (REAL(order + 1) / 12 if order > 1 else 0)
