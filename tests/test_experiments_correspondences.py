@@ -55,6 +55,30 @@ def test_indices_follow_a_shape_that_is_stretched_and_places_do_not():
 def test_points_have_the_labels_of_the_part_that_they_lie_on():
     mesh = make_shape("chair", 4)
     points, faces = sample_surface(mesh, count=300, seed=1)
-    found = correspondences.label_points(points, "chair", 4)
+    found = correspondences.label_points(points, 4)
     # Where parts touch, a point may be nearer to the other.
     assert np.mean(found == read_labels(mesh)[faces]) > 0.95
+
+
+def test_keypoints_are_on_their_part_and_left_and_right_are_alike():
+    tips = []
+    for seed in range(40):
+        mesh, found = make_shape("chair", seed), correspondences.find_keypoints(seed)
+        labels, heights = read_labels(mesh), []
+        for name, position in found.items():
+            label, _ = correspondences.KEYPOINTS[name]
+            corners = mesh.vertices[mesh.faces[labels == label]].reshape(-1, 3)
+            assert np.abs(corners - position).sum(-1).min() == 0, name
+            if "left" in name:
+                other = found[name.replace("left", "right")]
+                # Seats and legs are symmetric, yet a star may move the box's middle.
+                np.testing.assert_allclose(position[[0, 2]], other[[0, 2]], atol=1e-12)
+                assert position[1] > other[1] + 0.1
+            if "front" in name:
+                assert position[0] > found[name.replace("front", "rear")][0]
+            if label == "leg":
+                heights.append(position[2] - mesh.bounds[0, 2])
+        # The tubes of a sled reach half their width below their ends' rims.
+        assert all(height < 0.04 for height in heights)
+        tips.append(len(heights))
+    assert set(tips) == {0, 4}

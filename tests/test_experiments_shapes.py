@@ -130,7 +130,7 @@ def test_a_run_that_has_not_ended_is_refused(tmp_path):
 def test_shapes_without_known_parts_are_refused(finished, tmp_path):
     run = finished._replace(config=make_config(tmp_path, meshes="somewhere"))
     with pytest.raises(ValueError, match="parts are known, but this one"):
-        correspondences.name_keypoints(run)
+        correspondences.check_parts(run)
 
 
 def test_points_have_the_covariances_that_they_were_rendered_with():

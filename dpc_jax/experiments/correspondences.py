@@ -3,8 +3,12 @@
 The point of one output unit tends to be on the same part of every object. As in the
 paper, keypoints are marked on two templates of the validation split, and the indices of
 the predicted points near them, in both templates, are looked up in test shapes. Two
-things differ: keypoints are not marked by hand but follow from how procedural shapes
+things differ: keypoints are not marked by hand but follow from how procedural chairs
 are made, and what the paper shows in pictures is also measured, over many pairs.
+
+A keypoint is the vertex of one part that lies farthest in a direction, in the object
+frame (x front, y left, z up): the tip of the front left leg is where "leg" reaches
+farthest forward, left and, above all, down.
 """
 
 from collections.abc import Sequence
@@ -22,9 +26,19 @@ from dpc_jax.reporting import paper_figures
 from dpc_jax.run.setup import make_data_specs
 from dpc_jax.run.trained import TrainedNetwork, load_split, load_trained, predict_points
 from dpc_jax.shapes.building_blocks import read_labels
-from dpc_jax.shapes.keypoints import KEYPOINTS, find_keypoints
-from dpc_jax.shapes.procedural import make_shape
+from dpc_jax.shapes.chairs import draw_plan
+from dpc_jax.shapes.procedural import make_shape, seed_stream
 
+KEYPOINTS = {  # label of the part, and direction
+    f"{end} {side} {text}": (label, (x, y, up))
+    for text, label, up in (("seat corner", "seat", 0.1), ("leg tip", "leg", -3))
+    for end, x in (("front", 1), ("rear", -1))
+    for side, y in (("left", 1), ("right", -1))
+}
+KEYPOINTS |= {"left back corner": ("back", (0, 1, 1))}
+KEYPOINTS |= {"right back corner": ("back", (0, -1, 1))}
+# What a chair stands on at four places. A star or a round foot has no leg tips.
+_FOUR_FOOTED = ("legs", "sled", "block")
 RADIUS = 0.05  # of the box diagonal: what is near a keypoint (the paper: "small")
 LEAST = 5  # points of a keypoint
 PAIRS = 20  # of templates; the first is drawn
@@ -61,12 +75,13 @@ def run(out: Path, workdir: Path) -> tuple[dict[str, float], list[tuple[Path, st
       The measures of each of `METHODS`, and the figures with their captions.
     """
     finished = load_trained(workdir)
-    labels = list(name_keypoints(finished).values())
+    check_parts(finished)
+    labels = [label for label, _ in KEYPOINTS.values()]
     templates, shapes = (read_shapes(finished, name) for name in ("val", "test"))
     has_all = np.isfinite(templates.keypoints).all(axis=(1, 2))
     templates = LabelledShapes(*(array[has_all] for array in templates))
     near = [
-        label_points(cloud, finished.config.category, seed)
+        label_points(cloud, seed)
         for cloud, seed in zip(shapes.clouds, shapes.seeds, strict=True)
     ]
     count, draw = len(templates.seeds), np.random.default_rng(0).choice
@@ -92,36 +107,45 @@ def run(out: Path, workdir: Path) -> tuple[dict[str, float], list[tuple[Path, st
     return measures, [(path, caption + "other shapes.")]
 
 
-def name_keypoints(run: TrainedNetwork) -> dict[str, str]:
-    """The keypoints of a run's category by name, each with the label of its part.
-
-    Raises:
-      ValueError: where the run's shapes come without known parts.
-    """
+def check_parts(run: TrainedNetwork):
+    """Raise ValueError where the parts of a run's shapes are not known."""
     category = run.config.category
-    specs = make_data_specs(run.config)
-    if category not in KEYPOINTS or any(s.folder for s in specs.values()):
+    folders = {spec.folder for spec in make_data_specs(run.config).values()} - {None}
+    if category != "chair" or folders:
+        place = " and ".join(sorted(folders)) or "no folder"
         raise ValueError(
-            f"Expected a run on procedural shapes ({', '.join(KEYPOINTS)}), whose "
-            f"parts are known, but this one has category {category!r} from other "
-            "data; give the workdir of a run of configs/chair.py."
+            "Expected a run on procedural chairs, whose parts are known, but this one "
+            f"has category {category!r} and models of {place}; give the workdir of a "
+            "run of configs/chair.py."
         )
-    return {name: label for name, (label, _) in KEYPOINTS[category].items()}
+
+
+def find_keypoints(seed: int) -> dict[str, np.ndarray]:
+    """Positions [3] of `KEYPOINTS` by name on the procedural chair of a seed.
+
+    The leg tips of a chair that has none, such as a swivel chair, are left out.
+    """
+    mesh = make_shape("chair", seed)
+    faces, vertices = np.asarray(mesh.faces), np.asarray(mesh.vertices)
+    labels, found = read_labels(mesh), {}
+    has_tips = draw_plan(seed_stream("chair", seed)).base in _FOUR_FOOTED
+    for name, (label, direction) in KEYPOINTS.items():
+        if label != "leg" or has_tips:
+            corners = vertices[np.unique(faces[labels == label])]
+            found[name] = corners[np.argmax(corners @ np.asarray(direction, float))]
+    return found
 
 
 def read_shapes(run: TrainedNetwork, split: str) -> LabelledShapes:
     """The shapes of the split "val" or "test" with a run's predictions."""
-    names, category = KEYPOINTS[run.config.category], run.config.category
     dataset = load_split(run, split)
     models = open_source(make_data_specs(run.config)[split]).list_models()
     known = {model.name: model.seed for model in models}
     seeds = np.array([known[name] for name in dataset.names])
     images, masks = read_first_views(dataset)
     missing = np.full(3, np.nan)
-    found = [find_keypoints(category, int(seed)) for seed in seeds]
-    keypoints = np.array(
-        [[f[n].position if n in f else missing for n in names] for f in found]
-    )
+    found = [find_keypoints(int(seed)) for seed in seeds]
+    keypoints = np.array([[f.get(n, missing) for n in KEYPOINTS] for f in found])
     return LabelledShapes(images, predict_points(run, images, masks), seeds, keypoints)
 
 
@@ -131,9 +155,9 @@ def read_first_views(dataset: DataSet) -> tuple[np.ndarray, np.ndarray]:
     return np.asarray(dataset.images[rows]), np.asarray(dataset.masks[rows])
 
 
-def label_points(cloud: np.ndarray, category: str, seed: int) -> np.ndarray:
+def label_points(cloud: np.ndarray, seed: int) -> np.ndarray:
     """The label [N] of the part of the true shape that is nearest to each point."""
-    mesh = make_shape(category, int(seed))
+    mesh = make_shape("chair", int(seed))
     surface, faces = sample_surface(mesh, count=SURFACE_POINTS)
     _, nearest = KDTree(surface).query(cloud)
     return read_labels(mesh)[faces][nearest]

@@ -57,10 +57,7 @@ def _wing_lead(plan, share):
 
 
 def make_airplane(rng: np.random.Generator) -> trimesh.Trimesh:
-    """Mesh of a random airplane, one fuselage long, not normalised.
-
-    Its labels are body, wing, tail, engine and gear.
-    """
+    """Mesh of a random airplane, one fuselage long, not normalised."""
     plan = _draw_plan(rng)
     engines = {
         "airliner": _make_wing_engines,
@@ -68,14 +65,9 @@ def make_airplane(rng: np.random.Generator) -> trimesh.Trimesh:
         "light": _make_propeller,
         "fighter": _make_nozzles,
     }
-    groups = [
-        ("body", _make_fuselage(plan, rng)),
-        ("wing", _make_wings(plan)),
-        ("tail", _make_tail(plan, rng)),
-        ("engine", engines[plan.kind](plan, rng)),
-        ("gear", _make_gear(plan) if plan.kind == "light" else []),
-    ]
-    return parts.join(groups)
+    pieces = [*_make_fuselage(plan, rng), *_make_wings(plan), *_make_tail(plan, rng)]
+    pieces += engines[plan.kind](plan, rng)
+    return parts.join(pieces + (_make_gear(plan) if plan.kind == "light" else []))
 
 
 def _make_fuselage(plan, rng):

@@ -21,20 +21,18 @@ GLASS = (32, 40, 52)
 CHROME = (190, 195, 200)
 
 
-# What parts may belong to. Faces carry the place in this list, a number, because files
-# of meshes have no names of faces.
-LABELS = (
-    *("", "seat", "back", "leg", "arm", "body", "cabin", "wheel", "extra"),
-    *("wing", "tail", "engine", "gear"),
-)
+# What parts of chairs belong to, and "" those of others. Faces carry the place in this
+# list, a number, because files of meshes have no names of faces.
+LABELS = ("", "seat", "back", "leg", "arm")
 
 
 class Part(NamedTuple):
-    """A piece of one colour: vertices [N, 3], faces [F, 3]."""
+    """A piece of one colour: vertices [N, 3], faces [F, 3]; one of `LABELS`."""
 
     vertices: np.ndarray
     faces: np.ndarray
     color: Color
+    label: str = ""
 
 
 def loft(rings: npt.ArrayLike, *, color: Color, caps: bool = True) -> Part:
@@ -159,21 +157,17 @@ def inset(
 
 def mirror(parts: Sequence[Part]) -> list[Part]:
     """The parts and their mirror images at the xz plane (left and right)."""
-    images = [Part(v * [1.0, -1.0, 1.0], f[:, ::-1], color) for v, f, color in parts]
+    images = [Part(v * [1.0, -1.0, 1.0], f[:, ::-1], *rest) for v, f, *rest in parts]
     return [*parts, *images]
 
 
-def join(groups: Sequence[tuple[str, Sequence[Part]]]) -> trimesh.Trimesh:
-    """One mesh with face colours and labels; triangles without area are left out.
-
-    groups: a label, one of `LABELS`, which says what of the object its parts belong to.
-    """
+def join(parts: Sequence[Part]) -> trimesh.Trimesh:
+    """One mesh with face colours and labels; triangles without area are left out."""
     pieces, labels = [], []
-    for label, parts in groups:
-        for v, f, color in parts:
-            colors = np.tile(np.array([*color, 255], np.uint8), (len(f), 1))
-            pieces.append((v, f, colors))
-            labels.append(np.full(len(f), LABELS.index(label), np.uint8))
+    for v, f, color, label in parts:
+        colors = np.tile(np.array([*color, 255], np.uint8), (len(f), 1))
+        pieces.append((v, f, colors))
+        labels.append(np.full(len(f), LABELS.index(label), np.uint8))
     vertices, faces, colors = join_pieces(pieces)
     labels = np.concatenate(labels)
     normals = trimesh.triangles.cross(vertices[faces])
@@ -188,7 +182,7 @@ def join(groups: Sequence[tuple[str, Sequence[Part]]]) -> trimesh.Trimesh:
 
 
 def read_labels(mesh: trimesh.Trimesh) -> np.ndarray:
-    """The label of each face [F] of a procedural shape, one of `LABELS`."""
+    """The label of each face [F] of a procedural chair, one of `LABELS`."""
     return np.array(LABELS)[mesh.face_attributes["label"]]
 
 

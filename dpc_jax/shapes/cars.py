@@ -22,35 +22,30 @@ from dpc_jax.shapes.trucks import make_three_wheeler, make_truck, pile_goods
 
 
 def make_car(rng: np.random.Generator) -> trimesh.Trimesh:
-    """Mesh of a random car, bus, truck or three-wheeler, metres, not normalised.
-
-    Its labels are body (with lamps and bumpers), cabin (with windows), wheel and extra.
-    """
+    """Mesh of a random car, bus, truck or three-wheeler, metres, not normalised."""
     style = rng.choice(list(SHARES), p=list(SHARES.values()))
     if style == "truck":
         return parts.join(make_truck(rng, draw_paint(rng)))
     if style == "three_wheeler":
         return parts.join(make_three_wheeler(rng, draw_paint(rng)))
     plan = draw_plan(rng, style)
-    groups = _make_groups(plan, rng)
+    pieces = _make_parts(plan, rng)
     if style == "pickup" and rng.uniform() < 0.7:
-        groups.append(("extra", _load_bed(plan, rng)))
-    return parts.join(groups)
+        pieces += _load_bed(plan, rng)
+    return parts.join(pieces)
 
 
 def make_simple_car(rng: np.random.Generator) -> trimesh.Trimesh:
     """Mesh of a random car of the seven most usual styles."""
     style = rng.choice(list(SIMPLE_SHARES), p=list(SIMPLE_SHARES.values()))
-    return parts.join(_make_groups(draw_plan(rng, style), rng))
+    return parts.join(_make_parts(draw_plan(rng, style), rng))
 
 
-def _make_groups(plan, rng):
-    """Labels, and the parts that have them."""
+def _make_parts(plan, rng):
     is_open = plan.style == "convertible"
     cabin = _make_open_cabin(plan) if is_open else _make_cabin(plan)
-    groups = [("body", _make_body(plan, rng)), ("cabin", cabin)]
-    groups += [("wheel", make_wheels(plan, rng)), ("body", make_lamps(plan, rng))]
-    return [*groups, ("extra", make_extras(plan, rng))]
+    pieces = [*_make_body(plan, rng), *cabin, *make_wheels(plan, rng)]
+    return [*pieces, *make_lamps(plan, rng), *make_extras(plan, rng)]
 
 
 def _load_bed(plan, rng):

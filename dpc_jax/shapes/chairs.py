@@ -47,7 +47,8 @@ def draw_plan(rng: np.random.Generator) -> SimpleNamespace:
 def make_chair(rng: np.random.Generator) -> trimesh.Trimesh:
     """Mesh of a random chair, metres, not normalised.
 
-    Its labels are seat, back, arm, and leg for whatever it stands on.
+    Its labels are seat, back, arm, and leg for whatever it stands on; see
+    `building_blocks.read_labels`.
     """
     plan = draw_plan(rng)
     makers = {
@@ -57,10 +58,15 @@ def make_chair(rng: np.random.Generator) -> trimesh.Trimesh:
         "pedestal": _make_pedestal,
         "block": _make_block,
     }
-    groups = [("seat", [_make_seat(plan, rng)])]
-    groups += [("leg", makers[plan.base](plan, rng))]
-    groups += [("back", _Back(plan, rng).make(rng))]
-    return parts.join([*groups, ("arm", _make_arms(plan, rng) if plan.arms else [])])
+    groups = {
+        "seat": [_make_seat(plan, rng)],
+        "leg": makers[plan.base](plan, rng),
+        "back": _Back(plan, rng).make(rng),
+        "arm": _make_arms(plan, rng) if plan.arms else [],
+    }
+    return parts.join(
+        [part._replace(label=label) for label in groups for part in groups[label]]
+    )
 
 
 def _make_seat(plan, rng):

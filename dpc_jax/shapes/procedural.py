@@ -26,8 +26,7 @@ def make_shape(category: str, seed: int) -> trimesh.Trimesh:
     """Mesh of a random object of one of `CATEGORIES`; the seed decides all of it.
 
     It has face colours, z up, front towards +x and left towards +y, and is centred on
-    its bounding box, whose diagonal is 1. `building_blocks.read_labels` says of each
-    face what it is a part of: the maker of the category lists the labels.
+    its bounding box, whose diagonal is 1.
 
     Raises:
       ValueError: for an unknown category.

@@ -10,13 +10,12 @@ import numpy as np
 from dpc_jax.shapes import building_blocks as parts
 from dpc_jax.shapes.building_blocks import Part
 
-Groups = list[tuple[str, list[Part]]]  # label, parts
 _STEEL = (110, 112, 116)
 _LAMP, _REAR_LAMP = (255, 244, 205), (200, 16, 24)
 
 
-def make_truck(rng: np.random.Generator, paint: parts.Color) -> Groups:
-    """Parts of a truck: chassis (body), cab (cabin), wheels, and its load (extra)."""
+def make_truck(rng: np.random.Generator, paint: parts.Color) -> list[Part]:
+    """Parts of a truck: chassis, cab, wheels, and its load."""
     half, wheel = rng.uniform(1.05, 1.25), rng.uniform(0.42, 0.52)
     has_trailer = rng.uniform() < 0.25
     length = rng.uniform(9.5, 13.5) if has_trailer else rng.uniform(4.8, 8.5)
@@ -37,8 +36,7 @@ def make_truck(rng: np.random.Generator, paint: parts.Color) -> Groups:
     wheels = [part for x in axles for part in _make_wheel(x, half, wheel)]
     frame = (rear, -0.45, floor - 0.25), (front - 0.3, 0.45, floor)
     body = [parts.box(*frame, color=_STEEL), *_make_ends(front, rear, half, floor)]
-    groups = [("body", body), ("cabin", cab), ("wheel", parts.mirror(wheels))]
-    return [*groups, ("extra", load)]
+    return [*body, *cab, *parts.mirror(wheels), *load]
 
 
 def _make_prism(profile, half, *, color):
@@ -152,8 +150,8 @@ def pile_goods(
     return goods
 
 
-def make_three_wheeler(rng: np.random.Generator, paint: parts.Color) -> Groups:
-    """Parts of a three-wheeler: tub (body), canopy (cabin), wheels, cargo (extra)."""
+def make_three_wheeler(rng: np.random.Generator, paint: parts.Color) -> list[Part]:
+    """Parts of a three-wheeler: tub, canopy, wheels, cargo."""
     length, half = rng.uniform(2.4, 3.1), rng.uniform(0.6, 0.75)
     top, wheel = rng.uniform(1.6, 1.9), rng.uniform(0.2, 0.26)
     front, rear, floor = length / 2, -length / 2, 0.22
@@ -192,4 +190,4 @@ def make_three_wheeler(rng: np.random.Generator, paint: parts.Color) -> Groups:
     wheels = parts.mirror(_make_wheel(rear + 0.35, half, wheel))
     ends = (front - 0.25, -0.08, wheel), (front - 0.25, 0.08, wheel)
     wheels.append(parts.tube(*ends, wheel, color=parts.BLACK, sides=16))
-    return [("body", body), ("cabin", cabin), ("wheel", wheels), ("extra", load)]
+    return [*body, *cabin, *wheels, *load]
