@@ -38,9 +38,3 @@ def test_images_of_any_sizes_are_compared_at_one():
     # Four pixels of a checkerboard average to grey.
     board = np.tile([[0.0, 1], [1, 0]], (2, 2))
     np.testing.assert_array_equal(images.resize(board, 2), np.full((2, 2), 0.5))
-
-
-@pytest.mark.parametrize("shape", [(4, 6), (0, 0), (24, 24)])
-def test_an_image_that_cannot_be_brought_to_that_size_is_refused(shape):
-    with pytest.raises(ValueError, match="square image whose side divides 32"):
-        images.resize(np.zeros(shape), 32)

@@ -66,19 +66,10 @@ def mean_squared_difference(predicted: ArrayLike, target: ArrayLike) -> float:
 def resize(image: ArrayLike, side: int) -> np.ndarray:
     """An image [S, S] at `side` pixels, float64: averaged over blocks, or repeated.
 
-    Raises:
-      ValueError: for an image that is not square, or whose side neither divides nor is
-        divided by that number.
+    One of the sides divides the other, as those of data and of renders do.
     """
     array = np.asarray(image, np.float64)
-    is_square = array.ndim == 2 and array.shape[0] == array.shape[1] > 0
-    own = array.shape[0] if is_square else 0
-    if not own or (own % side and side % own):
-        raise ValueError(
-            f"Expected a square image whose side divides {side} pixels or is a "
-            f"multiple of it, but its shape is {array.shape}; give for example "
-            f"{side} × {side} pixels."
-        )
+    own = len(array)
     if own < side:
         return array.repeat(side // own, axis=0).repeat(side // own, axis=1)
     factor = own // side
