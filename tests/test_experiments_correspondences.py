@@ -5,7 +5,6 @@ import pytest
 
 from dpc_jax.data.views import sample_surface
 from dpc_jax.experiments import correspondences
-from dpc_jax.shapes.building_blocks import read_labels
 from dpc_jax.shapes.procedural import make_shape
 
 KEYPOINTS = np.array([[0.4, 0.4, 0.4], [-0.4, -0.4, -0.4]])
@@ -57,14 +56,14 @@ def test_points_have_the_labels_of_the_part_that_they_lie_on():
     points, faces = sample_surface(mesh, count=300, seed=1)
     found = correspondences.label_points(points, 4)
     # Where parts touch, a point may be nearer to the other.
-    assert np.mean(found == read_labels(mesh)[faces]) > 0.95
+    assert np.mean(found == correspondences.label_faces(4)[faces]) > 0.95
 
 
 def test_keypoints_are_on_their_part_and_left_and_right_are_alike():
     tips = []
     for seed in range(40):
         mesh, found = make_shape("chair", seed), correspondences.find_keypoints(seed)
-        labels, heights = read_labels(mesh), []
+        labels, heights = correspondences.label_faces(seed), []
         for name, position in found.items():
             label, _ = correspondences.KEYPOINTS[name]
             corners = mesh.vertices[mesh.faces[labels == label]].reshape(-1, 3)

@@ -4,8 +4,7 @@ import numpy as np
 import pytest
 
 from dpc_jax.data import viewpoints, views
-from dpc_jax.shapes import procedural
-from dpc_jax.shapes.building_blocks import read_labels
+from dpc_jax.shapes import chairs, procedural
 
 SEEDS = range(12)
 # Sums over these shapes: of faces, of their colours, of mean absolute coordinates.
@@ -31,12 +30,13 @@ def test_shapes_are_those_that_data_sets_were_rendered_from(category):
 
 def test_parts_of_a_chair_lie_where_their_names_say():
     for seed in SEEDS:
-        chair = procedural.make_shape("chair", seed)
-        labels, corners = read_labels(chair), chair.vertices[chair.faces]
-        assert {"seat", "back", "leg"} <= set(labels) <= {"seat", "back", "leg", "arm"}
-        leg, seat, back = (corners[labels == name] for name in ("leg", "seat", "back"))
-        assert leg[..., 2].mean() < seat[..., 2].mean() < back[..., 2].mean()
-        assert back[..., 0].mean() < seat[..., 0].mean()
+        groups = chairs.make_groups(procedural.seed_stream("chair", seed))
+        leg, seat, back = (
+            np.concatenate([part.vertices for part in groups[name]])
+            for name in ("leg", "seat", "back")
+        )
+        assert leg[:, 2].mean() < seat[:, 2].mean() < back[:, 2].mean()
+        assert back[:, 0].mean() < seat[:, 0].mean()
 
 
 def see(category, seed, azimuth, size=48):

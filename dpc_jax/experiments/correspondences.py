@@ -25,11 +25,11 @@ from dpc_jax.data.views import sample_surface
 from dpc_jax.reporting import paper_figures
 from dpc_jax.run.setup import make_data_specs
 from dpc_jax.run.trained import TrainedNetwork, load_split, load_trained, predict_points
-from dpc_jax.shapes.building_blocks import read_labels
-from dpc_jax.shapes.chairs import draw_plan
+from dpc_jax.shapes.building_blocks import join
+from dpc_jax.shapes.chairs import draw_plan, make_groups
 from dpc_jax.shapes.procedural import make_shape, seed_stream
 
-KEYPOINTS = {  # label of the part, and direction
+KEYPOINTS = {  # part, and direction
     f"{end} {side} {text}": (label, (x, y, up))
     for text, label, up in (("seat corner", "seat", 0.1), ("leg tip", "leg", -3))
     for end, x in (("front", 1), ("rear", -1))
@@ -110,7 +110,8 @@ def run(out: Path, workdir: Path) -> tuple[dict[str, float], list[tuple[Path, st
 def check_parts(run: TrainedNetwork):
     """Raise ValueError where the parts of a run's shapes are not known."""
     category = run.config.category
-    folders = {spec.folder for spec in make_data_specs(run.config).values()} - {None}
+    specs = make_data_specs(run.config).values()
+    folders = {spec.folder for spec in specs if spec.folder}
     if category != "chair" or folders:
         place = " and ".join(sorted(folders)) or "no folder"
         raise ValueError(
@@ -127,7 +128,7 @@ def find_keypoints(seed: int) -> dict[str, np.ndarray]:
     """
     mesh = make_shape("chair", seed)
     faces, vertices = np.asarray(mesh.faces), np.asarray(mesh.vertices)
-    labels, found = read_labels(mesh), {}
+    labels, found = label_faces(seed), {}
     has_tips = draw_plan(seed_stream("chair", seed)).base in _FOUR_FOOTED
     for name, (label, direction) in KEYPOINTS.items():
         if label != "leg" or has_tips:
@@ -160,7 +161,14 @@ def label_points(cloud: np.ndarray, seed: int) -> np.ndarray:
     mesh = make_shape("chair", int(seed))
     surface, faces = sample_surface(mesh, count=SURFACE_POINTS)
     _, nearest = KDTree(surface).query(cloud)
-    return read_labels(mesh)[faces][nearest]
+    return label_faces(int(seed))[faces][nearest]
+
+
+def label_faces(seed: int) -> np.ndarray:
+    """What each face [F] of the procedural chair of a seed is a part of."""
+    groups = make_groups(seed_stream("chair", seed))
+    counts = [len(join(group).faces) if group else 0 for group in groups.values()]
+    return np.repeat(list(groups), counts)
 
 
 def _transfer(

@@ -21,18 +21,12 @@ GLASS = (32, 40, 52)
 CHROME = (190, 195, 200)
 
 
-# What parts of chairs belong to, and "" those of others. Faces carry the place in this
-# list, a number, because files of meshes have no names of faces.
-LABELS = ("", "seat", "back", "leg", "arm")
-
-
 class Part(NamedTuple):
-    """A piece of one colour: vertices [N, 3], faces [F, 3]; one of `LABELS`."""
+    """A piece of one colour: vertices [N, 3], faces [F, 3]."""
 
     vertices: np.ndarray
     faces: np.ndarray
     color: Color
-    label: str = ""
 
 
 def loft(rings: npt.ArrayLike, *, color: Color, caps: bool = True) -> Part:
@@ -157,33 +151,22 @@ def inset(
 
 def mirror(parts: Sequence[Part]) -> list[Part]:
     """The parts and their mirror images at the xz plane (left and right)."""
-    images = [Part(v * [1.0, -1.0, 1.0], f[:, ::-1], *rest) for v, f, *rest in parts]
+    images = [Part(v * [1.0, -1.0, 1.0], f[:, ::-1], color) for v, f, color in parts]
     return [*parts, *images]
 
 
 def join(parts: Sequence[Part]) -> trimesh.Trimesh:
-    """One mesh with face colours and labels; triangles without area are left out."""
-    pieces, labels = [], []
-    for v, f, color, label in parts:
+    """One mesh with face colours; triangles without area are left out."""
+    pieces = []
+    for v, f, color in parts:
         colors = np.tile(np.array([*color, 255], np.uint8), (len(f), 1))
         pieces.append((v, f, colors))
-        labels.append(np.full(len(f), LABELS.index(label), np.uint8))
     vertices, faces, colors = join_pieces(pieces)
-    labels = np.concatenate(labels)
     normals = trimesh.triangles.cross(vertices[faces])
     keep = np.linalg.norm(normals, axis=-1) > 1e-10
     return trimesh.Trimesh(
-        vertices,
-        faces[keep],
-        face_colors=colors[keep],
-        face_attributes={"label": labels[keep]},
-        process=False,
+        vertices, faces[keep], face_colors=colors[keep], process=False
     )
-
-
-def read_labels(mesh: trimesh.Trimesh) -> np.ndarray:
-    """The label of each face [F] of a procedural chair, one of `LABELS`."""
-    return np.array(LABELS)[mesh.face_attributes["label"]]
 
 
 def draw_color(

@@ -45,11 +45,12 @@ def draw_plan(rng: np.random.Generator) -> SimpleNamespace:
 
 
 def make_chair(rng: np.random.Generator) -> trimesh.Trimesh:
-    """Mesh of a random chair, metres, not normalised.
+    """Mesh of a random chair, metres, not normalised."""
+    return parts.join([part for group in make_groups(rng).values() for part in group])
 
-    Its labels are seat, back, arm, and leg for whatever it stands on; see
-    `building_blocks.read_labels`.
-    """
+
+def make_groups(rng: np.random.Generator) -> dict[str, list[parts.Part]]:
+    """The seat, back and arms of a random chair, and as leg whatever it stands on."""
     plan = draw_plan(rng)
     makers = {
         "legs": _make_legs,
@@ -58,15 +59,12 @@ def make_chair(rng: np.random.Generator) -> trimesh.Trimesh:
         "pedestal": _make_pedestal,
         "block": _make_block,
     }
-    groups = {
+    return {
         "seat": [_make_seat(plan, rng)],
         "leg": makers[plan.base](plan, rng),
         "back": _Back(plan, rng).make(rng),
         "arm": _make_arms(plan, rng) if plan.arms else [],
     }
-    return parts.join(
-        [part._replace(label=label) for label in groups for part in groups[label]]
-    )
 
 
 def _make_seat(plan, rng):
