@@ -149,23 +149,3 @@ print([name for name in names if name in sys.modules])
         [sys.executable, "-c", code], capture_output=True, text=True
     )
     assert result.stdout.strip() == "[]", result.stdout + result.stderr
-
-
-PUBLIC = """
-Camera Fit FitSettings ImageEncoder MemoryEstimate PoseEnsemble PoseStudent Projection
-ShapeHead ShapePoseNetwork VoxelGrid align chamfer_distance choose_candidate
-compensate_widening count_blocks estimate_memory from_opencv mass_of_peak opacity
-pose_summary project project_batch project_volume quaternion reprojection_loss
-rotation_angle_deg smooth splat student_loss termination_probabilities to_opencv
-use_all_cores voxelize
-"""
-
-
-def test_the_public_names_are_these():
-    public = {n for n in dir(dpc_jax) if not n.startswith("_")}
-    public -= {"importlib", "TYPE_CHECKING"}
-    # Other tests have imported some modules.
-    public -= {path.stem for path in ROOT.iterdir()}
-    assert public == set(PUBLIC.split())
-    for name in public:
-        assert getattr(dpc_jax, name) is not None
