@@ -13,7 +13,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from data_trees import save_disc
-from hostile import Table, assert_try_says, losing_rights
+from hostile import Table, assert_try_says
 from PIL import Image
 from tiny_runs import tiny_config
 
@@ -154,18 +154,6 @@ def name_no_file(folder):
 @tries("/dev/null is no regular file")
 def predict_a_device(folder):
     return call(predict, f"--workdir={make_workdir(folder)}", "/dev/null")
-
-
-@tries("but it cannot be made or written (Permission denied); give")
-def predict_into_a_folder_of_others(_):
-    with losing_rights() as (folder, lose):
-        workdir = make_workdir(folder)
-        workdir.chmod(0o555)
-        image = save_disc(folder / "a.png")
-        # The first call loads modules, which need rights.
-        call(predict, "--workdir=/nowhere", image)
-        lose()
-        return call(predict, f"--workdir={workdir}", image)
 
 
 @tries("車")

@@ -11,7 +11,7 @@ from PIL import Image
 
 from dpc_jax import files
 from dpc_jax.data import DataSpec, load_or_render, meshes, shards
-from dpc_jax.data.sets import photographs, pictures, pose_files
+from dpc_jax.data.sets import photographs, pictures
 from dpc_jax.data.sets.pictures import read_picture
 from dpc_jax.learning.training.records import MetricLog
 from dpc_jax.run.workdir import hold_workdir, read_alignment, read_config
@@ -153,13 +153,15 @@ FAR = {"far": "v 0 0 0\nv 1 0 0\nv 0 1 0\nv 0 0 1e30\nf 1 2 3\nf 2 3 4\n"}
 @tries("3 used, skipped (('far.obj'", bad=FAR)
 @tries("skipped (('far.obj'", bad=FAR, split="train")
 @tries("4 used", bad={"-rf": FACE})
-def load_meshes(folder, *, bad, split="test"):
+@tries("set another data.cache_dir", make=os.mkfifo)
+def load_meshes(folder, *, bad=(), split="test", make=os.mkdir):
     """What a set makes of boxes and of other files."""
     (folder / "set").mkdir()
+    make(folder / "cache")
     for i in range(3):
         box = trimesh.creation.box((1, 2, 3 + i))
         box.export(folder / "set" / f"box{i}.ply")
-    for name, text in bad.items():
+    for name, text in dict(bad).items():
         (folder / "set" / f"{name}.obj").write_text(text)
     return _load(folder, split=split, fractions=FRACTIONS[split])
 
@@ -172,28 +174,16 @@ def _load(folder, **options):
     return f"{len(data.names)} used, skipped {data.skipped}"
 
 
-@tries("box0.ply, but it cannot be read (Permission denied)", closed="set/box0.ply")
-@tries("set another data.cache_dir", closed="cache")
-def load_meshes_without_rights(_, *, closed):
+@tries("box0.ply, but it cannot be read (Permission denied)")
+def load_a_mesh_without_rights(_):
     with losing_rights() as (shared, lose):
-        load_meshes(shared, bad={})
+        load_meshes(shared)
+        (shared / "set" / "box0.ply").chmod(0)
         box = trimesh.creation.box((2, 2, 5))
-        box.export(shared / "set" / "more.ply")
+        box.export(shared / "set" / "more.ply")  # so that all is read again
         (shared / "cache").chmod(0o777)
-        (shared / closed).chmod(0o555 if closed == "cache" else 0)
         lose()
         return _load(shared, split="test", fractions=FRACTIONS["test"])
-
-
-@tries("Permission denied", read=read_picture)
-@tries("Permission denied", read=lambda path: pose_files.read_poses([path]))
-def read_without_rights(_, *, read):
-    with losing_rights() as (shared, lose):
-        path = shared / "poses.json"
-        path.write_text("{}")
-        path.chmod(0)
-        lose()
-        return read(path)
 
 
 @tries("a pipe, a device or the like")

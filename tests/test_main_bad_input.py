@@ -60,7 +60,10 @@ REFUSED = [  # fields, the folder of the test as HERE, and words of the sentence
     ({"render.scale_unit": "volume"}, "render.scale_unit must be 'peak' or 'mass'"),
     ({"train.steps": 10**20}, "at most 2,147,483,647"),
     ({"train.learning_rate": float("nan")}, "train.learning_rate must be above 0"),
-    ({"data.meshes": "/nowhere/at/all"}, "config.data.meshes must be a folder that exists"),
+    (
+        {"data.meshes": "/nowhere/at/all"},
+        "config.data.meshes must be a folder that exists",
+    ),
     ({"train.silhouette_weight": 0.0}, "so that there is something to learn from"),
     ({"data.offset": 0.2}, "data.offset must be between 0 and 0.12"),
     ({"pose.elevation_high": -20.0}, "elevation_high must be above pose.elevation_low"),
