@@ -209,13 +209,6 @@ def test_published_renders_are_checked_with_the_views_they_have(tmp_path, capsys
     assert "give the folder of one of them" in capsys.readouterr().err
 
 
-@pytest.mark.parametrize("words", [[], ["chekc"], ["show", ".", "--models=0"]])
-def test_a_command_with_wrong_words_is_answered_by_one_sentence(words, capsys):
-    assert run(*words) == 2
-    error = capsys.readouterr().err
-    assert error.startswith("Error: Expected flags as") and error.count("\n") == 1
-
-
 @pytest.mark.parametrize("text", [None, "{", "{}", '{"shards": []}'])
 def test_no_set_and_a_damaged_one_are_named(tmp_path, capsys, text):
     if text is not None:

@@ -69,15 +69,6 @@ def test_a_set_holds_what_it_says(tmp_path):
         assert abs(rotate(pose)[0, 2]) < 1e-6  # upright
 
 
-def test_a_second_call_renders_nothing(tmp_path, renders):
-    first = load(tmp_path)
-    assert renders.call_count == 6
-    assert_same(first, load(tmp_path))
-    assert renders.call_count == 6
-    load(tmp_path, seed=1)
-    assert renders.call_count == 12
-
-
 def test_any_number_of_processes_gives_the_same_bytes(tmp_path, monkeypatch):
     load(tmp_path / "alone", models=9)  # in three shards
     monkeypatch.setattr(workers, "INLINE", 0)

@@ -16,13 +16,6 @@ def make_boxes(count, seed=0, points=800):
     return sides * rng.uniform(-0.5, 0.5, (count, points, 3))
 
 
-def test_a_training_shape_is_found_by_other_points_of_it():
-    boxes = make_boxes(60)
-    index = ShapeIndex(boxes[:, :400])
-    for number in (0, 17, 59):
-        assert index.find_nearest(boxes[number, 400:]) == number
-
-
 def test_the_shortlist_loses_little_against_comparing_all():
     boxes, others = make_boxes(80, points=500), make_boxes(6, seed=1, points=500)
     index = ShapeIndex(boxes)

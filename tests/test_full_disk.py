@@ -8,28 +8,15 @@ import subprocess
 import sys
 from pathlib import Path
 
-import jax.numpy as jnp
-import numpy as np
 import pytest
+from tiny_runs import make_small_state
 
 from dpc_jax.files import explaining_full_disk
-from dpc_jax.learning.recipe import Averages
-from dpc_jax.learning.step import TrainState
 from dpc_jax.learning.training import records
 from dpc_jax.learning.training.checkpoints import Checkpoints
 from dpc_jax.learning.training.records import MetricLog
 
 IN_CPP = "RESOURCE_EXHAUSTED: Failed writing: No space left on device [os_error_code]"
-
-
-def make_state(step):
-    values = np.random.default_rng(step).normal(size=(500, 400))
-    return TrainState(
-        step=jnp.asarray(step, jnp.int32),
-        params={"params": {"a": jnp.array(values, jnp.float32)}},
-        optimizer=(jnp.asarray(step, jnp.int32),),
-        averages=Averages(jnp.eye(3)),
-    )
 
 
 def caused_by_a_full_disk():
@@ -76,10 +63,10 @@ def test_a_checkpoint_that_finds_no_room_leaves_the_one_before(tmp_path, monkeyp
         raise ValueError(IN_CPP)
 
     checkpoints = Checkpoints(tmp_path)
-    checkpoints.save(make_state(1), seconds=1.0)
+    checkpoints.save(make_small_state(1), seconds=1.0)
     monkeypatch.setattr(checkpoints._manager, "save", fail)
     with pytest.raises(OSError, match="must have room .* disk is full"):
-        checkpoints.save(make_state(2), seconds=2.0)
+        checkpoints.save(make_small_state(2), seconds=2.0)
     checkpoints.close()
     assert [path.name for path in tmp_path.iterdir()] == ["1"]
 
@@ -87,11 +74,11 @@ def test_a_checkpoint_that_finds_no_room_leaves_the_one_before(tmp_path, monkeyp
 FILL = """
 import sys
 from pathlib import Path
-from test_full_disk import Checkpoints, make_state
+from test_full_disk import Checkpoints, make_small_state
 
 folder = Path(sys.argv[1])
 checkpoints = Checkpoints(folder / "checkpoints")
-checkpoints.save(make_state(1), seconds=1.0)
+checkpoints.save(make_small_state(1), seconds=1.0)
 filler = folder / "filler"
 try:
     with open(filler, "wb", buffering=0) as file:
@@ -100,16 +87,16 @@ try:
 except OSError:
     pass
 try:
-    checkpoints.save(make_state(2), seconds=2.0)
+    checkpoints.save(make_small_state(2), seconds=2.0)
 except OSError as error:
     print(error)
 checkpoints.close()
 filler.unlink()
 
 checkpoints = Checkpoints(folder / "checkpoints")
-restored = checkpoints.restore(make_state(0))
+restored = checkpoints.restore(make_small_state(0))
 print("restored", int(restored.state.step), restored.damaged)
-checkpoints.save(make_state(2), seconds=2.0)
+checkpoints.save(make_small_state(2), seconds=2.0)
 checkpoints.close()
 print("saved", Checkpoints(folder / "checkpoints").steps())
 """

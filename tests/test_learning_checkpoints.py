@@ -3,26 +3,10 @@
 import contextlib
 import gc
 
-import jax.numpy as jnp
-import numpy as np
 import pytest
-from tiny_runs import assert_same_bits
+from tiny_runs import assert_same_bits, make_small_state
 
-from dpc_jax.learning.recipe import Averages
-from dpc_jax.learning.step import TrainState
 from dpc_jax.learning.training.checkpoints import Checkpoints
-
-
-def make_small_state(step):
-    """A state with every kind of leaf that a run has."""
-    rng = np.random.default_rng(step)
-    return TrainState(
-        step=jnp.asarray(step, jnp.int32),
-        params={"params": {"a": jnp.array(rng.normal(size=(30, 40)), jnp.float32)}},
-        optimizer=(jnp.asarray(step, jnp.int32), {"mu": jnp.full((5,), 1e-30)}),
-        averages=Averages(jnp.eye(3) * step, jnp.asarray(step / 16)),
-    )
-
 
 # When a read fails, orbax drops the other reads of that checkpoint half way; Python
 # says so whenever it happens to collect them.

@@ -88,13 +88,12 @@ def make_objects(count=COUNT, *, thick, ends, seed=0):
     """Objects in one frame, seen from anywhere; winners are the true poses."""
     rng = np.random.default_rng(seed)
     points, images, masks, poses = [], [], [], []
-    for index in range(count):
+    for _ in range(count):
         points.append(draw_bar(rng, thick=thick))
         drawn = rng.normal(size=(3, 4))
         drawn /= np.linalg.norm(drawn, axis=1, keepdims=True)
         poses.append(jnp.asarray(drawn, jnp.float32))
-        own = ends(index) if callable(ends) else ends
-        drawn = draw_views(points[-1], poses[-1], own)
+        drawn = draw_views(points[-1], poses[-1], ends)
         images.append(drawn[0]), masks.append(drawn[1])
     turns = jnp.zeros((count, 3), jnp.int32)  # of head 1 of 2, not turned
     # No other candidate was compared.
@@ -366,15 +365,6 @@ def test_clear_colors_decide_and_without_them_clear_points(gains, means, turns, 
     wanted, fits = common_frame._choose_turns(jnp.array(gains), moments)
     assert wanted.tolist() == turns
     assert fits.tolist() == fit
-
-
-def test_colors_that_tell_nothing_turn_nothing():
-    def draw_ends(index):
-        return (YELLOW, RED) if index % 2 else (RED, YELLOW)
-
-    frame = learn_frame(by_colors=True, thick=True, ends=draw_ends)
-    right = make_objects(thick=True, ends=draw_ends, seed=9)
-    assert float(turn(*right, frame, True)[2]) == 0
 
 
 def test_a_color_has_the_same_bin_however_dark_it_is():

@@ -492,22 +492,12 @@ def test_dropout_keeps_each_point_with_its_own_size_and_mass():
             np.testing.assert_array_equal(found[row], all_of_them[row][order])
 
 
-@pytest.mark.parametrize("count", [1, 3, 1000])
-def test_an_order_has_every_index_once_and_depends_on_the_key(count):
-    orders = [
-        np.asarray(draw_order(jax.random.key(seed), count=count)) for seed in (0, 0, 1)
-    ]
-    for order in orders:
-        np.testing.assert_array_equal(np.sort(order), np.arange(count))
-    np.testing.assert_array_equal(orders[0], orders[1])
-    assert count < 64 or (orders[0] != orders[2]).any()
-
-
-def test_every_index_comes_first_equally_often():
+def test_an_order_has_every_index_once_and_each_comes_first_equally_often():
     keys = jax.random.split(jax.random.key(0), 20_000)
-    orders = jax.jit(jax.vmap(lambda key: draw_order(key, count=10)))(keys)
+    orders = np.asarray(jax.jit(jax.vmap(lambda key: draw_order(key, count=10)))(keys))
+    np.testing.assert_array_equal(np.sort(orders)[::99], [np.arange(10)] * 203)
     for place in (0, 4, 9):
-        counts = np.bincount(np.asarray(orders[:, place]), minlength=10)
+        counts = np.bincount(orders[:, place], minlength=10)
         # A binomial count of mean 2000 has a standard deviation of 42.
         np.testing.assert_allclose(counts, 2000, atol=5 * 42)
 

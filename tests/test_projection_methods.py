@@ -77,18 +77,6 @@ def test_images_and_gradients_come_near_to_those_of_gaussians(
         assert plain[0] > image and plain[1] > by_points
 
 
-def test_compensated_widening_brings_the_fast_method_to_the_basic_one():
-    def draw(sigma, method):
-        return np.asarray(differentiate(sigma, method)[1].silhouette)
-
-    exact, narrower = draw(3.0, "gaussian"), dpc_jax.compensate_widening(3.0)
-    plain, compensated = (
-        np.linalg.norm(draw(sigma, "trilinear") - exact) for sigma in (3.0, narrower)
-    )
-    # 23 times where no cell is clipped (docs/projection.md).
-    assert 4 * compensated < plain
-
-
 def test_auto_is_the_fast_method_for_one_sigma_and_the_basic_one_for_several():
     def write(method, **size):
         def render(size):

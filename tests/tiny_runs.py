@@ -10,9 +10,9 @@ from scipy.spatial.transform import Rotation
 from dpc_jax.config import Config, replace_fields
 from dpc_jax.data import DataSet
 from dpc_jax.learning.batches import repeat_seed
-from dpc_jax.learning.recipe import Recipe
+from dpc_jax.learning.recipe import Averages, Recipe
 from dpc_jax.learning.schedules import find_stage
-from dpc_jax.learning.step import init_state, make_train_step
+from dpc_jax.learning.step import TrainState, init_state, make_train_step
 from dpc_jax.networks import ShapePoseNetwork
 from dpc_jax.run.setup import make_network as make_network
 
@@ -83,6 +83,17 @@ def make_recipe(config: Config, network: ShapePoseNetwork | None = None) -> Reci
     network = network or make_network(config)
     sections = config.render, config.pose, config.train
     return Recipe(network, *sections, config.spreads_masks)
+
+
+def make_small_state(step: int) -> TrainState:
+    """A state with every kind of leaf that a run has."""
+    rng = np.random.default_rng(step)
+    return TrainState(
+        step=jnp.asarray(step, jnp.int32),
+        params={"params": {"a": jnp.array(rng.normal(size=(30, 40)), jnp.float32)}},
+        optimizer=(jnp.asarray(step, jnp.int32), {"mu": jnp.full((5,), 1e-30)}),
+        averages=Averages(jnp.eye(3) * step, jnp.asarray(step / 16)),
+    )
 
 
 def make_step(network: ShapePoseNetwork, config: Config, *, step: int = 0):
