@@ -69,6 +69,12 @@ def test_a_set_holds_what_it_says(tmp_path):
         assert abs(rotate(pose)[0, 2]) < 1e-6  # upright
 
 
+def test_only_what_is_not_in_the_cache_is_rendered(tmp_path, renders):
+    for seed, rendered in ((0, 6), (0, 6), (1, 12)):  # 3 models from 2 sides
+        load(tmp_path, seed=seed)
+        assert renders.call_count == rendered
+
+
 def test_any_number_of_processes_gives_the_same_bytes(tmp_path, monkeypatch):
     load(tmp_path / "alone", models=9)  # in three shards
     monkeypatch.setattr(workers, "INLINE", 0)

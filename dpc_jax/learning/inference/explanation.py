@@ -242,7 +242,6 @@ def search_nearby(
     low, high = (jnp.deg2rad(angle) for angle in limits)
     # Azimuth and elevation, one to each side.
     sides = reach * jnp.array([[0, 0], [-1, 0], [1, 0], [0, -1], [0, 1]], pose.dtype)
-
     turn = jax.vmap(_turn_view, in_axes=(None, 0))
 
     def measure(poses):
