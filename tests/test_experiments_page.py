@@ -147,7 +147,7 @@ def test_the_command_writes_the_page_of_what_is_finished(tmp_path, capsys):
     finish_runs(tmp_path, Request(("known_pose", "unknown_pose"), "quick"))
     assert start(tmp_path, "known_pose,unknown_pose") == 0
     said = capsys.readouterr().out
-    assert "19 of 19 runs are finished." in said
+    assert "16 of 16 runs are finished." in said
     assert f"Page: {tmp_path}/index.html" in said
     page = read_page(tmp_path)
     for words in (
@@ -164,7 +164,7 @@ def test_the_command_writes_the_page_of_what_is_finished(tmp_path, capsys):
 @pytest.mark.parametrize("text", ['{"chamfer": 4', '{"chamfer": "four"}'])
 def test_a_damaged_report_is_never_a_number(text, tmp_path):
     finish_runs(tmp_path, Request(("depth",), "quick"))
-    (path,) = tmp_path.glob("runs/chair-known_pose-32-seed0/report/metrics.json")
+    (path,) = tmp_path.glob("runs/chair-paper-known_pose-32-seed0/report/metrics.json")
     path.write_text(text)
     assert start(tmp_path, "depth", "--no-training") == 0
     page = read_page(tmp_path)

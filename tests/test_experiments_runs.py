@@ -4,7 +4,7 @@ import pytest
 
 from dpc_jax.experiments.catalogue import EXPERIMENTS, Row
 from dpc_jax.experiments.published import ABLATION
-from dpc_jax.experiments.runs import SIZES, Request, declare_run
+from dpc_jax.experiments.runs import SIZES, Request, Run, declare_run
 
 ALL = ("airplane", "car", "chair")
 
@@ -41,19 +41,31 @@ def test_experiments_share_runs_of_the_same_config():
     def name(experiment):
         return set(list_names(experiment, categories=("chair",), seeds=(0,)))
 
-    assert "chair-known_pose-64-seed0" in name("known_pose") & name("ablation")
+    assert "chair-paper-known_pose-64-seed0" in name("known_pose") & name("ablation")
     assert name("correspondences") == name("interpolation") < name("unknown_pose")
 
 
-def test_the_full_size_is_the_paper_and_the_others_are_not():
-    names = ("unknown_pose", "known_pose")
-    request = Request(names, size="full", categories=("car",))
-    configs = {run.name: run.load_config() for run in request.list_runs()}
-    assert {config.train.steps for config in configs.values()} == {600_000}
-    assert configs["car-paper-known_pose-128-seed0"].render.num_points == 16_000
-    assert configs["car-paper-naive-seed0"].pose.num_heads == 1
-    (run,) = Request(("interpolation",), size="cpu", seeds=(0,)).list_runs()
-    assert run.load_config().train.steps < 10_000
+def test_the_full_size_is_the_paper_and_the_others_shorten_it():
+    def load(size):
+        names = ("unknown_pose", "known_pose")
+        request = Request(names, size=size, categories=("car",), seeds=(0,))
+        return {run.name: run.load_config() for run in request.list_runs()}
+
+    full, short = load("full"), load("cpu")
+    papers = [name for name in full if "paper" in name]
+    assert {full[name].train.steps for name in papers} == {600_000}
+    assert full["car-paper-known_pose-128-seed0"].render.num_points == 16_000
+    assert full["car-paper-naive-seed0"].pose.num_heads == 1
+    # What is shorter keeps the paper's method.
+    for name in papers:
+        assert short[name].pose == full[name].pose
+        assert short[name].network.layers == "paper"
+        assert short[name].train.steps < full[name].train.steps
+        rate = {config[name].train.learning_rate for config in (full, short)}
+        assert rate == {1e-4}
+    # The defaults are configs/car.py.
+    default = Run("", "car", "", 0, (("category", "car_simple"),)).load_config()
+    assert short["car-shipped-seed0"] == full["car-seed0"] == default
 
 
 def test_long_runs_have_fewer_seeds_unless_some_are_asked_for():
@@ -75,9 +87,9 @@ def test_the_flags_of_a_run_say_its_config():
     row = Row("", variant="known_pose,64", changes=changes, tag="a")
     run = declare_run(row, "chair", 2, Request(size="quick"))
     flags = run.list_flags()
-    assert flags[0] == "--config=chair:known_pose,64"
+    assert flags[0] == "--config=chair:paper,known_pose,64"
     assert {"--config.seed=2", "--config.render.keep_start=1.0"} <= set(flags)
-    assert run.name == "chair-known_pose-64-a-seed2"
+    assert run.name == "chair-paper-known_pose-64-a-seed2"
     config = run.load_config()
     assert config.render.keep_start == 1.0 and config.train.steps == 7
 

@@ -11,21 +11,33 @@ from typing import Any
 
 from dpc_jax import config as configs
 from dpc_jax.config import Config, from_config_dict
-from dpc_jax.experiments.catalogue import EXPERIMENTS, NAMES, Experiment, Row
+from dpc_jax.experiments.catalogue import (
+    EXPERIMENTS,
+    NAMES,
+    SHIPPED,
+    Experiment,
+    Row,
+)
+from dpc_jax.experiments.published import CATEGORIES
 
-# What the paper's method has not, and rows of their own are for.
-_PLAIN = {
-    "pose.head": "quaternion",
-    "pose.student": "selects",
-    "pose.common_frame": "",
-    "train.framed_views": False,
-    "train.spread_masks": False,
-    "train.pull_weight": 0.0,
-    "train.containment_weight": 1.0,
-    "train.colors_move_points": True,
-    "network.sees_mask": False,
+# What shortens the variant "paper" to minutes or an hour of a CPU core (docs/paper.md).
+_REDUCED = {
+    "data.models": 1000,  # the data of the default runs, so that tables compare
+    "data.val_models": 40,
+    "data.test_models": 100,
+    "data.copies": 0,
+    "data.surface_points": 10_000,
+    "data.surface_voxel": 0.0,
+    "network.hidden": 512,
+    "network.shape_hidden": 512,
+    "render.keep_levels": 4,  # each is a program to compile
+    "log.every": 100,
+    "log.evaluate": 1000,
+    "log.checkpoint": 1000,
 }
-RESOLUTIONS = ("32", "64", "128", "256")  # variants: side of images and volume
+RESOLUTIONS = ("32", "64", "128")  # variants: side of images and volume
+# Images of 64 pixels in a volume of 32³, with as many points as the paper has there.
+_COARSE = {"render.grid": 32, "render.num_points": 2000}
 
 
 @dataclasses.dataclass(frozen=True)
@@ -34,9 +46,10 @@ class Size:
 
     categories: tuple[str, ...]  # unless others are asked for
     seeds: tuple[int, ...]
-    variant: str = ""  # put before that of every row
     # "section.field": value, of every run
     changes: Mapping[str, Any] = dataclasses.field(default_factory=dict)
+    # The same of runs of the paper's method alone, which have the variant "paper".
+    method: Mapping[str, Any] = dataclasses.field(default_factory=dict)
     # The same for runs of a budget: the variant of `RESOLUTIONS` that they have, or
     # what their row says; "" for others.
     budgets: Mapping[str, Mapping[str, Any]] = dataclasses.field(default_factory=dict)
@@ -51,11 +64,11 @@ SIZES = {
         categories=("chair",),  # programs do not depend on the category
         seeds=(0,),  # shows that all runs, not how well
         changes={
-            **_PLAIN,
             "data.models": 12,  # rendered in seconds
             "data.val_models": 4,
             "data.test_models": 4,
             "data.surface_points": 2000,  # Chamfer distances in milliseconds
+            "data.surface_voxel": 0.0,
             "network.channels": 4,
             "network.hidden": 32,
             "network.shape_hidden": 32,
@@ -72,11 +85,9 @@ SIZES = {
             "32": {"data.image_size": 16, "render.grid": 8},
             "64": {"data.image_size": 32, "render.grid": 16},
             "128": {"data.image_size": 64, "render.grid": 32},
-            "256": {"data.image_size": 64, "render.grid": 16, "render.fine_grid": 32},
-            "longer": {"data.image_size": 16, "render.grid": 8},
             "points": {"data.image_size": 32, "render.grid": 16},
             **dict.fromkeys(
-                ("", "signals"),
+                ("", "signals", SHIPPED),
                 {"data.image_size": 32, "render.grid": 16, "render.fine_grid": 0},
             ),
         },
@@ -85,33 +96,23 @@ SIZES = {
         environment={"JAX_DISABLE_MOST_OPTIMIZATIONS": "true"},
     ),
     "cpu": Size(
-        categories=("chair", "car"),  # the two whose silhouettes differ most
+        categories=CATEGORIES,
         seeds=(0, 1, 2),  # a spread needs three
-        changes={
-            **_PLAIN,
-            "network.shape_hidden": 512,  # of all categories, whatever configs have
-            "render.keep_end": 1.0,
-            "log.evaluate": 500,  # a curve of eight points at the least
-            "log.checkpoint": 500,  # half a minute is lost at the most
-        },
+        method=_REDUCED,
         budgets={
             # The same steps at every resolution: a column of Table 1 differs in nothing
             # else.
-            **dict.fromkeys(RESOLUTIONS, {"train.steps": 2000}),
-            # A step of points takes a third of the time of one of 32³ cells.
-            "longer": {"train.steps": 6000},
+            **dict.fromkeys(RESOLUTIONS, {"train.steps": 5000}),
             # A render of 200 covariances takes 70 ms: four minutes and a half a run.
             "points": {"train.steps": 1000, "train.views_per_batch": 2},
             # A render with colours takes four to six times as long as one without.
-            "signals": {"train.steps": 4000, "render.num_points": 2000},
-            # The steps are the config's own; as many points as in the paper at 32².
-            "": {"render.num_points": 2000},
+            "signals": _COARSE | {"train.steps": 4000},
+            "": _COARSE | {"train.steps": 20_000},
         },
         left_out=frozenset({"covariance2000"}),  # an hour by their renders
     ),
     "full": Size(
-        variant="paper",
-        categories=("airplane", "car", "chair"),  # § Datasets
+        categories=CATEGORIES,  # § Datasets
         seeds=(0,),  # the paper names none; a run takes days
     ),
 }
@@ -210,12 +211,14 @@ def declare_run(row: Row, category: str, seed: int, request: Request) -> Run:
         own[points] = max(own[points] // size.fewer_points, 4)
     usual = size.budgets.get(find_resolution(row), {})
     budget = size.budgets.get(row.budget, {}) if row.budget else usual
-    shared = dict(size.changes) | dict(budget)
+    is_paper = row.budget != SHIPPED
+    shared = dict(size.method if is_paper else {}) | dict(size.changes) | dict(budget)
     if request.shapenet:
         shared["data.shapenet"] = request.shapenet
     elif category == "car":
         shared["category"] = "car_simple"  # the paper's cars are passenger cars
-    variant = ",".join(part for part in (size.variant, row.variant) if part)
+    method = "paper" if is_paper else ""
+    variant = ",".join(part for part in (method, row.variant) if part)
     parts = (category, *variant.split(","), row.tag)
     parts += (row.budget if budget != usual else "", f"seed{seed}")
     name = "-".join(part for part in parts if part)
