@@ -15,6 +15,7 @@ from dpc_jax.learning.inference import explanation, predictor
 from dpc_jax.learning.inference.explanation import (
     FINALISTS,
     Observation,
+    add_viewpoints,
     compare_poses,
     find_likeliest,
     find_posteriors,
@@ -58,7 +59,7 @@ def see(pose):
 
 @functools.partial(jax.jit, static_argnames="config")
 def search(pose, observation, *, config=CONFIG):
-    return search_nearby(make_scene(), pose, observation, config=config)
+    return search_nearby(make_scene(), pose, observation, config=config)[0]
 
 
 @jax.jit
@@ -69,10 +70,12 @@ def measure(poses, observation):
 
 
 @functools.partial(jax.jit, static_argnames=("count", "config"))
-def take_likeliest(candidates, losses, observation, *, count, config=UNSEARCHED):
-    """Of the scene, where the student thinks nothing."""
+def take_likeliest(
+    candidates, losses, observation, chances=None, *, count, config=UNSEARCHED
+):
+    """Of the scene; without chances of candidates where the student thinks nothing."""
     alike = jnp.full(len(candidates), 1 / len(candidates))
-    known = candidates, losses, alike, observation
+    known = candidates, losses, alike if chances is None else chances, observation
     return find_likeliest(make_scene(), *known, count=count, config=config)
 
 
@@ -96,47 +99,79 @@ def test_the_posterior_weighs_what_the_student_thinks_against_the_image(
 
 def test_the_likeliest_few_are_compared_in_the_finest_grid():
     """In the order of their losses there, whatever the base grid says of them."""
-    poses = [face(45.0, 5.0), RIVAL, face(52.0, 12.0), face(80.0, 0.0), TRUTH]
+    poses = [face(30.0, 5.0), RIVAL, face(52.0, 12.0), face(80.0, 0.0), TRUTH]
     candidates, observation = jnp.stack(poses), see(TRUTH)
-    losses = jnp.array([2.2, 2.0, 2.5, 1.5, 9.0])  # the truth is left out
-    few = jnp.array([0, 1, 2, 3])
+    losses = jnp.array([2.2, 2.0, 2.5, 8.0, 9.0])  # the truth is left out
+    few = jnp.array([0, 1, 2])
     found = take_likeliest(candidates, losses, observation, count=FINALISTS)
     order = jnp.argsort(measure(candidates[few], observation))
     assert np.array_equal(found, candidates[few][order])
     assert np.array_equal(found[0], candidates[2])
 
 
+def test_neighbours_of_a_likelier_pose_are_not_compared():
+    near = [face(100.0 + shift, 5.0) for shift in range(0, 15, 3)]
+    candidates, observation = jnp.stack([*near, RIVAL, TRUTH]), see(TRUTH)
+    losses = jnp.array([1.0, 1.1, 1.2, 1.3, 1.4, 5.0, 6.0])
+    (found,) = take_likeliest(candidates, losses, observation, count=1)
+    assert np.array_equal(found, TRUTH)
+
+
 def test_what_the_student_thinks_counts_in_the_finest_grid(monkeypatch):
-    def compare(scene, candidates, *_, **__):
-        return candidates[:, 0]
+    candidates = jnp.stack([face(40.0 * i, 0.0) for i in range(5)])
+    fine = jnp.array([5.0, 4.6, 5.0, 0.0, 0.0])
+
+    def compare(scene, poses, *_, **__):
+        return fine[jnp.argmax(jnp.abs(poses @ candidates.T), axis=1)]
 
     monkeypatch.setattr(explanation, "compare_poses", compare)
-    fine = jnp.array([5.0, 4.6, 5.0, 5.0, 0.0, 0.0])
-    candidates = jnp.stack([fine, jnp.arange(6.0), fine, fine], axis=1)
-    chances = jnp.array([0.5, 0.3, 0.1, 0.06, 0.02, 0.02])
+    chances = jnp.array([0.5, 0.3, 0.1, 0.06, 0.04])
 
-    def take(losses, config=UNSEARCHED):
+    def take(losses):
         known = candidates, jnp.array(losses), chances, Observation(None, {})
-        found = find_likeliest(make_scene(), *known, count=1, config=config)
-        return int(found[0, 1])
+        (found,) = find_likeliest(make_scene(), *known, count=1, config=UNSEARCHED)
+        return np.flatnonzero(np.all(candidates == found[None], axis=1))
 
-    assert take([9.0, 9, 9, 9, 99, 99]) == 0
-    assert take([9.0, 9, 9, 99, 9, 99]) == 4
-    alone = replace_fields(UNSEARCHED, {"render": {"fine_grid": 0}})
-    assert take([9.0, 9, 9, 9, 0, 9], alone) == 4  # the base grid decides
+    assert take([9.0, 9, 9, 99, 99]) == [0]
+    assert take([9.0, 9, 99, 9, 99]) == [3]
 
 
-def test_of_several_viewpoints_none_is_searched_for_nearby():
-    candidates, observation = (
-        jnp.stack([RIVAL, face(47.0, 12.0), face(130.0, 5.0)]),
-        see(TRUTH),
-    )
-    known = candidates, measure(candidates, observation), observation
-    several = take_likeliest(*known, count=3, config=CONFIG)
-    assert np.array_equal(several[0], candidates[1])  # as they are
-    (one,) = take_likeliest(*known, count=1, config=CONFIG)
-    assert rotation_angle_deg(one, TRUTH) < rotation_angle_deg(candidates[1], TRUTH) / 2
+def test_viewpoints_are_searched_for_nearby_before_they_are_compared():
+    """The truth's neighbour, 16° off, is less likely than the rival as it is."""
+    candidates = jnp.stack([face(62.0, -1.0), face(220.0, 10.0)])
+    near, rival = measure(candidates, see(TRUTH))
+    chances = jnp.array([jnp.exp(near - rival - 5), 1.0])
+    known = candidates, jnp.zeros(2), see(TRUTH), chances
     assert np.array_equal(take_likeliest(*known, count=1)[0], candidates[1])
+    found = take_likeliest(*known, count=2, config=CONFIG)
+    assert len(found) == 2 and rotation_angle_deg(found[0], TRUTH) < 2
+
+
+@functools.partial(jax.jit, static_argnames="config")
+def add(candidates, base, *, config=CONFIG):
+    """Candidates and probabilities, with viewpoints of the grid."""
+    alike = jnp.full(len(candidates), 1 / len(candidates))
+    return add_viewpoints(make_scene(), candidates, alike, base, config=config)
+
+
+@pytest.mark.parametrize("knows_distance", [True, False])
+@pytest.mark.parametrize("points", [250, 0])  # ranked by some, or exactly
+def test_a_viewpoint_that_no_head_offers_is_found(knows_distance, points):
+    config = replace_fields(CONFIG, {"pose": {"choice_points": points}})
+    how = {"config": config, "knows_distance": knows_distance}
+    masks = np.uint8(255 * np.asarray(see(TRUTH).target))
+    base, fine = (observe(masks, {}, side, **how) for side in (16, 32))
+    candidates = jnp.stack([RIVAL, face(-100.0, 0.0)])
+    poses, chances = add(candidates, base, config=config)
+    assert np.array_equal(poses[:2], candidates) and len(poses) == 2 + FINALISTS
+    assert chances.sum() == pytest.approx(1) and (chances[2:] < 0.03 * chances[0]).all()
+    angles = np.rad2deg(read_elevations(poses[2:]))
+    assert (angles > config.pose.elevation_low).all()
+    assert (angles < config.pose.elevation_high).all()
+    losses = compare_poses(make_scene(), poses, base, config=config)
+    scene = make_scene(), poses, losses, chances, fine
+    (found,) = find_likeliest(*scene, count=1, config=config)
+    assert rotation_angle_deg(found, TRUTH) < 3
 
 
 def test_an_elevation_is_read_from_the_pose_of_any_azimuth():
@@ -178,9 +213,9 @@ def test_a_viewpoint_some_degrees_off_comes_nearer_to_the_truth(start):
 
 def test_a_shape_that_shows_nothing_leaves_the_viewpoint_as_it_is():
     nothing = make_scene() | {"mass": jnp.array(0.0)}
-    assert np.array_equal(
-        search_nearby(nothing, RIVAL, see(TRUTH), config=CONFIG), RIVAL
-    )
+    found, loss = search_nearby(nothing, RIVAL, see(TRUTH), config=CONFIG)
+    assert np.array_equal(found, RIVAL)
+    assert loss == pytest.approx(jnp.sum(see(TRUTH).target ** 2))
 
 
 def test_elevations_stay_in_the_range_of_the_heads():
@@ -206,7 +241,7 @@ def test_predictions_take_the_candidate_of_the_largest_posterior(monkeypatch):
         return 100.0 - 50.0 * jnp.arange(len(candidates)) / max(len(candidates) - 1, 1)
 
     def take_last(scene, candidates, *_, **__):
-        return candidates[-1:]
+        return candidates[-FINALISTS - 1 :][:1]  # viewpoints are behind it
 
     monkeypatch.setattr(predictor, "compare_poses", compare)
     monkeypatch.setattr(predictor, "find_likeliest", take_last)

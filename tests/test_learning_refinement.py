@@ -105,8 +105,8 @@ def test_views_of_an_object_have_the_pose_that_their_shape_fits_best(
 ):
     """The first candidate fits best, by more than the student's chances differ."""
 
-    def compare(scene, poses, *_, **__):
-        return 100.0 * jnp.arange(len(poses))
+    def compare(scene, poses, *_, **__):  # behind the pose that is predicted
+        return 100.0 * jnp.abs(jnp.arange(len(poses)) - 1)
 
     monkeypatch.setattr(refiner_module, "compare_poses", compare)
     monkeypatch.setattr("dpc_jax.learning.inference.explanation.FINALISTS", 1)

@@ -7,6 +7,7 @@ import jax
 import jax.numpy as jnp
 
 from dpc_jax.config import Config
+from dpc_jax.learning.choice.hindsight import compare_in_scene
 from dpc_jax.learning.framing import (
     Frame,
     cut_silhouettes,
@@ -14,17 +15,20 @@ from dpc_jax.learning.framing import (
     frame_by_moments,
 )
 from dpc_jax.learning.shapes import find_shape_class
-from dpc_jax.learning.shapes.kind import Scene, View, place_view
+from dpc_jax.learning.shapes.kind import Choice, Scene, View, place_view
 from dpc_jax.learning.signals import (
     downsample_images,
     find_background,
     spread_masks,
 )
-from dpc_jax.networks.viewpoints import read_elevations
+from dpc_jax.networks.viewpoints import face_object, read_elevations
 from dpc_jax.render import Camera, Projection, quaternion
 from dpc_jax.render.batch import map_renders
 
-FINALISTS = 4  # candidates of a view that are compared in the finest grid
+FINALISTS = 3  # poses of a view that are compared in the finest grid
+APART = 20.0  # degrees between any two of them
+AZIMUTHS, ELEVATIONS = 24, 3  # of a grid of viewpoints
+UNSEEN = 0.01  # probability of each, beside those of the candidates
 ROUNDS, REACH = 3, 4.0  # of the search nearby; degrees that a round may move
 
 
@@ -154,6 +158,51 @@ def find_posteriors(losses: jax.Array, probabilities: jax.Array) -> jax.Array:
     return jnp.log(jnp.maximum(probabilities, tiny)) - losses
 
 
+def add_viewpoints(
+    scene: Scene,
+    candidates: jax.Array,
+    probabilities: jax.Array,
+    base: Observation,
+    *,
+    config: Config,
+) -> tuple[jax.Array, jax.Array]:
+    """Candidates [C + V, 4] and probabilities, V of them viewpoints of no head.
+
+    Heads that all turn a kind of objects round, or mirror it, offer no pose that is
+    right; the silhouette still tells it. The V best of a grid of viewpoints stand
+    beside the candidates, each as likely as one to which the student gives `UNSEEN`.
+
+    Args:
+      scene: of the shape, sizes in voxels of the base grid.
+      candidates: [C, 4]. probabilities: [C].
+      base: what the view shows in the base grid.
+    """
+    limits = config.pose.elevation_low, config.pose.elevation_high
+    low, high = (jnp.deg2rad(angle) for angle in limits)
+    azimuths = 2 * jnp.pi * jnp.arange(AZIMUTHS) / AZIMUTHS
+    shares = (jnp.arange(ELEVATIONS) + 0.5) / ELEVATIONS
+    views = face_object(*jnp.meshgrid(azimuths, low + (high - low) * shares))
+    views = views.reshape(-1, 4).astype(candidates.dtype)
+    losses = _rank_poses(scene, views, base, config)
+    views = views[_find_peaks(views, -losses, FINALISTS)]
+    chances = jnp.full(FINALISTS, UNSEEN, probabilities.dtype)
+    joined = jnp.concatenate([probabilities, chances])
+    return jnp.concatenate([candidates, views]), joined / jnp.sum(joined)
+
+
+def _rank_poses(scene, poses, base, config):
+    """Losses [n] of poses [n, 4], coarse ones where the view's distance is known."""
+    if base.frame is not None:
+        return compare_poses(scene, poses, base, config=config)
+    how = Choice(config.pose.choice_points, 0, config.render.renders_at_once)
+    view = _place_view(poses, base.camera, base.target.shape[0], config)
+    kind = find_shape_class(config.network.shape)
+    # Else XLA projects each point again for every pixel.
+    places = jax.lax.optimization_barrier(kind.place_in_image(scene, view, how))
+    targets = {"silhouette": base.target}
+    return compare_in_scene(kind, scene, view, targets, places, how)
+
+
 def find_likeliest(
     scene: Scene,
     candidates: jax.Array,
@@ -166,11 +215,11 @@ def find_likeliest(
 ) -> jax.Array:
     """The poses [count, 4] of the largest posteriors, the likeliest first.
 
-    The `FINALISTS` of the base grid are compared in the finest one: poses and their
-    mirror poses differ by little more than a pixel of the former. Each of its pixels
-    counts, so that the image weighs more against the student's probabilities. A single
-    viewpoint is then searched for nearby; of several a fit has to find out which is
-    right, and moves them anyway.
+    The best `FINALISTS` of the base grid that are no neighbours of each other are
+    compared in the finest one: poses and their mirror poses differ by little more than
+    a pixel of the former. Viewpoints are first searched for nearby, since a few degrees
+    cost more than what tells one side from another. Each pixel of the finest grid
+    counts, so that the image weighs more there against the student's probabilities.
 
     Args:
       scene: of the shape, sizes in voxels of the base grid.
@@ -178,17 +227,29 @@ def find_likeliest(
       fine: what the view shows in the finest grid.
       count: how many; fewer where there are fewer candidates or `FINALISTS`.
     """
-    ratio = config.render.finest / config.render.grid
     posteriors = find_posteriors(losses, probabilities)
-    _, best = jax.lax.top_k(posteriors, min(FINALISTS, len(candidates)))
-    if ratio != 1:
-        finer = find_shape_class(config.network.shape).resize(scene, ratio)
-        losses = compare_poses(finer, candidates[best], fine, config=config)
-        posteriors = find_posteriors(losses, probabilities[best])
-        best = best[jnp.argsort(-posteriors)]
-    if count == 1 and config.pose.weighs_fit and config.pose.elevations:
-        return search_nearby(scene, candidates[best[0]], fine, config=config)[None]
-    return candidates[best[:count]]
+    best = _find_peaks(candidates, posteriors, min(FINALISTS, len(candidates)))
+    poses = candidates[best]
+    if config.pose.elevations:
+        poses, losses = jax.lax.map(
+            lambda pose: search_nearby(scene, pose, fine, config=config), poses
+        )
+    else:
+        finest = weigh_finest(scene, config)
+        losses = compare_poses(finest, poses, fine, config=config)
+    posteriors = find_posteriors(losses, probabilities[best])
+    return poses[jnp.argsort(-posteriors)[:count]]
+
+
+def _find_peaks(poses: jax.Array, posteriors: jax.Array, count: int) -> jax.Array:
+    """Indices [count] of the likeliest of poses [C, 4], `APART` from each other."""
+    is_apart = jnp.abs(poses @ poses.T) < jnp.cos(jnp.deg2rad(APART) / 2)
+
+    def take(left, _):
+        best = jnp.argmax(left)
+        return jnp.where(is_apart[best], left, -jnp.inf), best
+
+    return jax.lax.scan(take, posteriors, length=count)[1]
 
 
 def render_finest(
@@ -223,8 +284,8 @@ def weigh_finest(scene: Scene, config: Config) -> Scene:
 
 def search_nearby(
     scene: Scene, pose: jax.Array, fine: Observation, *, config: Config
-) -> jax.Array:
-    """The viewpoint [4] near a predicted one that explains the image best.
+) -> tuple[jax.Array, jax.Array]:
+    """The viewpoint [4] near a predicted one that explains the image best, its loss ().
 
     A head predicts a viewpoint by features of the whole image, a few degrees off;
     outlines in the finest grid tell single degrees. In each round a parabola through
@@ -257,7 +318,8 @@ def search_nearby(
 
     found, _ = jax.lax.scan(move, pose, length=ROUNDS)
     before, after = measure(jnp.stack([pose, found]))
-    return jnp.where(after < before, found, pose)
+    is_better = after < before
+    return jnp.where(is_better, found, pose), jnp.minimum(before, after)
 
 
 def _find_lowest(left: jax.Array, here: jax.Array, right: jax.Array) -> jax.Array:

@@ -17,6 +17,7 @@ from dpc_jax.learning.batches import list_extras
 from dpc_jax.learning.cameras import find_cameras
 from dpc_jax.learning.inference.explanation import (
     Observation,
+    add_viewpoints,
     compare_poses,
     find_color_scores,
     find_likeliest,
@@ -215,7 +216,10 @@ def _explain(entry, *, shared, scores, config):
     """What one view is taken for: images, poses, winner, and what poses cost."""
     scene, shown = entry.scene | shared[0], entry.shown | shared[1]
     candidates, taken = entry.poses.candidates, entry.poses.student
-    losses, chances = jnp.zeros(1), entry.chances
+    heads, losses, chances = len(candidates), jnp.zeros(1), entry.chances
+    if config.pose.weighs_fit and config.pose.elevations:
+        known = candidates, chances, entry.base
+        candidates, chances = add_viewpoints(scene, *known, config=config)
     if len(candidates) > 1:
         losses = compare_poses(scene, candidates, entry.base, config=config)
     if scores is not None:
@@ -224,6 +228,8 @@ def _explain(entry, *, shared, scores, config):
     if config.pose.weighs_fit:
         known = candidates, losses, chances, entry.fine
         (taken,) = find_likeliest(scene, *known, count=1, config=config)
+    losses, chances = losses[:heads], chances[:heads]
+    chances /= jnp.maximum(jnp.sum(chances), jnp.finfo(chances.dtype).tiny)
     winner = jnp.argmin(losses)
     found = {"winners": winner, "candidate_poses": candidates[winner], "poses": taken}
     found |= {"losses": losses, "probabilities": chances}

@@ -99,17 +99,19 @@ def _decode(state, codes, *, network, config):
 def _choose_poses(decode, evidence, is_bent, config):
     """The poses [n, V, H, 4] that views are refined from.
 
-    By silhouettes: other signals are not at hand. Where predictions are posteriors so
-    are these. Else the predicted pose is among the candidates, and counts as any.
+    By silhouettes: other signals are not at hand. The predicted pose is among the
+    candidates, and counts as the likeliest of them, or as any where none is likelier.
     """
-    is_alone = evidence.poses.shape[1] == 1
-    if is_alone and not config.pose.weighs_fit:
+    is_alone, weighs_fit = evidence.poses.shape[1] == 1, config.pose.weighs_fit
+    if is_alone and not weighs_fit:
         return evidence.poses[:, :, None]
     _, scenes, shared = decode(evidence.codes)
-    candidates, probabilities = evidence.candidates, evidence.probabilities
-    if not config.pose.weighs_fit:
-        candidates = jnp.concatenate([evidence.poses[:, :, None], candidates], axis=2)
-        probabilities = jnp.ones(candidates.shape[:-1])
+    candidates = jnp.concatenate(
+        [evidence.poses[:, :, None], evidence.candidates], axis=2
+    )
+    chances = evidence.probabilities
+    chances = jnp.concatenate([jnp.max(chances, 2, keepdims=True), chances], axis=2)
+    probabilities = chances if weighs_fit else jnp.ones_like(chances)
     base, fine = (
         observe(evidence.masks, evidence.cameras, side, config=config)
         for side in (config.render.grid, config.render.finest)
