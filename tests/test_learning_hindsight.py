@@ -239,7 +239,7 @@ def test_the_gradient_through_the_winner_alone_is_that_of_the_plain_minimum():
 
 @pytest.mark.parametrize("sign", [1, -1])
 def test_of_each_view_the_candidate_nearest_to_the_label_learns_and_is_selected(sign):
-    config = tiny_config(source="labels", student="posterior", student_weight=0.05)
+    config = tiny_config(source="labels", student="selects", student_weight=0.05)
     recipe = make_recipe(config)
     candidates, labels = random_quaternions(0, 4, 3), random_quaternions(1, 4)
     logits = jnp.asarray(np.random.default_rng(2).normal(size=(4, 3)))

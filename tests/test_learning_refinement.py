@@ -7,6 +7,7 @@ import tiny_runs
 
 from dpc_jax.evaluation.rotations import angle_deg
 from dpc_jax.learning.inference import refiner as refiner_module
+from dpc_jax.learning.inference.explanation import FINALISTS
 from dpc_jax.learning.inference.predictor import make_predictor, predict_all
 from dpc_jax.learning.inference.refinement import (
     find_directions,
@@ -64,7 +65,7 @@ def run():
 @pytest.fixture(scope="module")
 def selecting():
     """Of a network that sees masks: six candidates, learned colours, a finer grid."""
-    changes = {"num_heads": 6, "student": "posterior", "fine_grid": 16}
+    changes = {"num_heads": 6, "student": "selects", "fine_grid": 16}
     changes |= {"sees_mask": True, "color_weight": 1.0, "colors_move_points": False}
     return Run(**changes)
 
@@ -174,9 +175,9 @@ def test_of_the_likeliest_candidates_of_a_view_the_one_that_needs_least_bending_
     for name, value in (("STEPS", 5), ("POSE_PULL", 0.0), ("CODE_PULL", 0.0)):
         monkeypatch.setattr(refiner_module, name, value)
     evidence = selecting.join(ALONE)
-    # A student that selects is taken at its word.
+    # Of drawn heads the predicted pose is taken as it is.
     trusting = tiny_runs.replace_fields(
-        selecting.config, {"pose": {"student": "selects"}}
+        selecting.config, {"pose": {"source": "sampled"}}
     )
     alone = make_refiner(selecting.network, trusting)
     each = [
@@ -200,7 +201,8 @@ def test_of_the_likeliest_candidates_of_a_view_the_one_that_needs_least_bending_
                 one[name], each[rank][i][name], atol=2e-4, err_msg=name
             )
         assert errors[rank, i, 1] <= errors[first, i, 1] + 1e-6
-        # Two of six are left out: that of the least error may be one of them.
-        assert (errors[:, i, 1] < errors[rank, i, 1] - 1e-6).sum() <= 2
+        # Of six some are left out: that of the least error may be one of them.
+        is_less = errors[:, i, 1] < errors[rank, i, 1] - 1e-6
+        assert is_less.sum() <= len(each) - FINALISTS
         taken.append(first == rank)
     assert not all(taken)

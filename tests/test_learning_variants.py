@@ -25,7 +25,7 @@ from dpc_jax.learning.training.checkpoints import Checkpoints
 VARIANTS = {
     "paper": ({}, {"reprojection", "student"}, {"pose", "student"}),
     "defaults": (
-        {"head": "viewpoint", "student": "posterior", "flips": True}
+        {"head": "viewpoint", "student": "selects", "flips": True}
         | {"common_frame": "colors", "sees_mask": True, "fine_grid": 16}
         | {"framed_views": True}
         | {"choice_points": 10, "choice_top": 3}

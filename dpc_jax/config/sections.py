@@ -128,11 +128,9 @@ class Pose:
     elevation_low: float = field(ELEVATIONS[0], between(-90, 90))
     elevation_high: float = field(ELEVATIONS[1], between(-90, 90))
     flips: bool = True  # also try each head after half turns of the object
-    # Predicts a pose, by the paper's angle (q and -q alike) or by the released code's
-    # squares of it; the likeliest candidate, or that weighed by how it fits the image.
-    student: str = field(
-        "posterior", one_of("regresses", "squares", "selects", "posterior")
-    )
+    # Regresses a pose, by the paper's angle (q and -q alike) or by the released code's
+    # squares of it; or tells which candidate is how likely.
+    student: str = field("selects", one_of("regresses", "squares", "selects"))
     choice_points: int = field(250, at_least(0))  # that rank candidates; 0: no ranking
     choice_top: int = field(6, at_least(0))  # candidates then compared exactly
     # What tells a kind of objects from its half turn, to be turned back: where its
@@ -155,7 +153,7 @@ class Pose:
     @property
     def selects(self) -> bool:
         """Whether the student chooses a candidate instead of regressing a pose."""
-        return self.student in ("selects", "posterior")
+        return self.student == "selects"
 
     @property
     def learned_heads(self) -> int:
@@ -191,8 +189,11 @@ class Pose:
 
     @property
     def weighs_fit(self) -> bool:
-        """Whether predictions weigh how candidates fit the image's silhouette."""
-        return self.student == "posterior" and self.choices > 0
+        """Whether predictions weigh how candidates fit the image's silhouette.
+
+        Of drawn heads (MVC) the likeliest is taken, as its paper does.
+        """
+        return self.choices > 0 and self.source != "sampled"
 
     @property
     def choices(self) -> int:
