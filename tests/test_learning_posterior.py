@@ -11,19 +11,22 @@ from tiny_runs import make_dataset, make_network, make_state, tiny_config
 from dpc_jax import rotation_angle_deg
 from dpc_jax.config import replace_fields
 from dpc_jax.learning import framing
-from dpc_jax.learning.inference import explanation, predictor
+from dpc_jax.learning.inference import predictor
+from dpc_jax.learning.inference import search as search_module
 from dpc_jax.learning.inference.explanation import (
-    FINALISTS,
     Observation,
-    add_viewpoints,
     compare_poses,
-    find_likeliest,
     find_posteriors,
     observe,
     render_finest,
-    search_nearby,
 )
 from dpc_jax.learning.inference.predictor import make_predictor, predict_all
+from dpc_jax.learning.inference.search import (
+    FINALISTS,
+    add_viewpoints,
+    find_likeliest,
+    search_nearby,
+)
 from dpc_jax.learning.shapes.points import Points
 from dpc_jax.networks.viewpoints import face_object, read_elevations
 
@@ -126,7 +129,7 @@ def test_what_the_student_thinks_counts_in_the_finest_grid(monkeypatch):
     def compare(scene, poses, *_, **__):
         return fine[jnp.argmax(jnp.abs(poses @ candidates.T), axis=1)]
 
-    monkeypatch.setattr(explanation, "compare_poses", compare)
+    monkeypatch.setattr(search_module, "compare_poses", compare)
     chances = jnp.array([0.5, 0.3, 0.1, 0.06, 0.04])
 
     def take(losses):

@@ -7,7 +7,6 @@ import tiny_runs
 
 from dpc_jax.evaluation.rotations import angle_deg
 from dpc_jax.learning.inference import refiner as refiner_module
-from dpc_jax.learning.inference.explanation import FINALISTS
 from dpc_jax.learning.inference.predictor import make_predictor, predict_all
 from dpc_jax.learning.inference.refinement import (
     find_directions,
@@ -15,6 +14,7 @@ from dpc_jax.learning.inference.refinement import (
     refine_objects,
 )
 from dpc_jax.learning.inference.refiner import make_refiner
+from dpc_jax.learning.inference.search import FINALISTS
 
 ALONE = [np.array([i]) for i in range(9)]
 TOGETHER = [np.array([0, 1, 2]), np.array([3, 4, 5]), np.array([6, 7, 8])]
@@ -110,7 +110,7 @@ def test_views_of_an_object_have_the_pose_that_their_shape_fits_best(
         return 100.0 * jnp.abs(jnp.arange(len(poses)) - 1)
 
     monkeypatch.setattr(refiner_module, "compare_poses", compare)
-    monkeypatch.setattr("dpc_jax.learning.inference.explanation.FINALISTS", 1)
+    monkeypatch.setattr("dpc_jax.learning.inference.search.FINALISTS", 1)
     refiner = make_refiner(selecting.network, selecting.config)
     joined = selecting.refine(TOGETHER, refiner=refiner)
     poses = np.concatenate([one["poses"] for one in joined])

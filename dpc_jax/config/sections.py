@@ -191,7 +191,7 @@ class Pose:
     def weighs_fit(self) -> bool:
         """Whether predictions weigh how candidates fit the image's silhouette.
 
-        Of drawn heads (MVC) the likeliest is taken, as its paper does.
+        Of drawn heads (MVC) the likeliest is taken.
         """
         return self.choices > 0 and self.source != "sampled"
 

@@ -17,15 +17,14 @@ from dpc_jax.learning.batches import list_extras
 from dpc_jax.learning.cameras import find_cameras
 from dpc_jax.learning.inference.explanation import (
     Observation,
-    add_viewpoints,
     compare_poses,
     find_color_scores,
-    find_likeliest,
     observe,
     render_finest,
     weigh_by_colors,
     weigh_finest,
 )
+from dpc_jax.learning.inference.search import add_viewpoints, find_likeliest
 from dpc_jax.learning.predictions import (
     Poses,
     complete_poses,

@@ -18,12 +18,11 @@ import optax
 from dpc_jax.config import Config
 from dpc_jax.learning import devices, schedules
 from dpc_jax.learning.inference.explanation import (
-    FINALISTS,
     compare_poses,
-    find_likeliest,
     observe,
     render_finest,
 )
+from dpc_jax.learning.inference.search import FINALISTS, find_likeliest
 from dpc_jax.learning.shapes import find_shape_class
 from dpc_jax.networks import ShapePoseNetwork
 from dpc_jax.render import quaternion
@@ -100,18 +99,17 @@ def _choose_poses(decode, evidence, is_bent, config):
     """The poses [n, V, H, 4] that views are refined from.
 
     By silhouettes: other signals are not at hand. The predicted pose is among the
-    candidates, and counts as the likeliest of them, or as any where none is likelier.
+    candidates, and counts as the likeliest of them.
     """
-    is_alone, weighs_fit = evidence.poses.shape[1] == 1, config.pose.weighs_fit
-    if is_alone and not weighs_fit:
+    is_alone = evidence.poses.shape[1] == 1
+    if is_alone and not config.pose.weighs_fit:
         return evidence.poses[:, :, None]
     _, scenes, shared = decode(evidence.codes)
     candidates = jnp.concatenate(
         [evidence.poses[:, :, None], evidence.candidates], axis=2
     )
-    chances = evidence.probabilities
-    chances = jnp.concatenate([jnp.max(chances, 2, keepdims=True), chances], axis=2)
-    probabilities = chances if weighs_fit else jnp.ones_like(chances)
+    given = evidence.probabilities
+    probabilities = jnp.concatenate([jnp.max(given, 2, keepdims=True), given], axis=2)
     base, fine = (
         observe(evidence.masks, evidence.cameras, side, config=config)
         for side in (config.render.grid, config.render.finest)
