@@ -29,7 +29,6 @@ if TYPE_CHECKING:
     from dpc_jax.render import MemoryEstimate as MemoryEstimate
     from dpc_jax.render import Projection as Projection
     from dpc_jax.render import VoxelGrid as VoxelGrid
-    from dpc_jax.render import compensate_widening as compensate_widening
     from dpc_jax.render import count_blocks as count_blocks
     from dpc_jax.render import estimate_memory as estimate_memory
     from dpc_jax.render import from_opencv as from_opencv
@@ -55,7 +54,7 @@ _MODULES = {
         "ImageEncoder PoseEnsemble PoseStudent ShapeHead ShapePoseNetwork"
     ),
     "dpc_jax.render": (
-        "Camera MemoryEstimate Projection VoxelGrid compensate_widening count_blocks "
+        "Camera MemoryEstimate Projection VoxelGrid count_blocks "
         "estimate_memory from_opencv mass_of_peak opacity project project_batch "
         "project_volume quaternion smooth splat termination_probabilities to_opencv "
         "use_all_cores voxelize"

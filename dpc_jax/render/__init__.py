@@ -7,7 +7,6 @@ from dpc_jax.render.camera import Camera as Camera
 from dpc_jax.render.camera import VoxelGrid as VoxelGrid
 from dpc_jax.render.devices import use_all_cores as use_all_cores
 from dpc_jax.render.fast.smoothing import smooth as smooth
-from dpc_jax.render.fast.splatting import compensate_widening as compensate_widening
 from dpc_jax.render.fast.splatting import splat as splat
 from dpc_jax.render.memory import MemoryEstimate as MemoryEstimate
 from dpc_jax.render.memory import estimate_memory as estimate_memory

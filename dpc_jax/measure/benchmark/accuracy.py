@@ -19,18 +19,17 @@ from dpc_jax.measure.benchmark.plan import Plan
 from dpc_jax.measure.benchmark.speed import measure_distance
 from dpc_jax.measure.scenes import Scene
 from dpc_jax.measure.timing import measure_medians
-from dpc_jax.render import VoxelGrid, compensate_widening, project
+from dpc_jax.render import VoxelGrid, project
 
 _MASS_SIDE = 64  # scenes give their mass for a grid of this many cells a side
 ERRORS = ("error", "error_same_grid")  # ends of their names in a record
-# Name, method, whether sigma is that of `compensate_widening`, and dtype.
+# Name, method and dtype.
 FAMILIES = (
-    ("trilinear", "trilinear", False, "float32"),
-    ("trilinear, compensated", "trilinear", True, "float32"),
-    ("trilinear, bfloat16", "trilinear", False, "bfloat16"),
-    ("quadratic", "quadratic", False, "float32"),
-    ("cubic", "cubic", False, "float32"),
-    ("gaussian", "gaussian", False, "float32"),
+    ("trilinear", "trilinear", "float32"),
+    ("trilinear, bfloat16", "trilinear", "bfloat16"),
+    ("quadratic", "quadratic", "float32"),
+    ("cubic", "cubic", "float32"),
+    ("gaussian", "gaussian", "float32"),
 )
 
 
@@ -39,7 +38,6 @@ class Setting(NamedTuple):
 
     family: str  # name of the settings that differ from this one in the grid alone
     method: str  # of `project`
-    is_compensated: bool
     dtype: str
     side: int  # cells of the grid along each axis
 
@@ -94,8 +92,6 @@ def _prepare(scene, sigma, setting, plan, target) -> tuple[Callable, Callable]:
     # along a ray has to stay. Learning keeps the density instead.
     mass = scene.mass * (setting.side / _MASS_SIDE) ** 2
     sigma = sigma * setting.side / plan.base_side
-    if setting.is_compensated:
-        sigma = float(compensate_widening(sigma))
     values = (scene.points, scene.pose, mass, sigma, target)
     values = [jnp.asarray(value, setting.dtype) for value in values]
     return functools.partial(image, *values[:4]), functools.partial(gradient, *values)
@@ -121,7 +117,7 @@ def _make_programs(method, side, blocks):
 
 def _compute_exact(scene, sigma, side, plan, target) -> dict[str, np.ndarray]:
     """Image [C, C] and gradient [N, 3] of the gaussian method in float64."""
-    setting = Setting("exact", "gaussian", False, "float64", side)
+    setting = Setting("exact", "gaussian", "float64", side)
     _, call = _prepare(scene, sigma, setting, plan, target)
     gradient, image = call()
     return {"image": np.asarray(image), "gradient": np.asarray(gradient)}
@@ -130,7 +126,7 @@ def _compute_exact(scene, sigma, side, plan, target) -> dict[str, np.ndarray]:
 def _compute_target(scene, sigma, plan) -> np.ndarray:
     """An image from the other pose. Any would do, so this is the cheapest."""
     turned = scene._replace(pose=scene.target_pose)
-    setting = Setting("target", "trilinear", False, "float32", plan.base_side)
+    setting = Setting("target", "trilinear", "float32", plan.base_side)
     image, _ = _prepare(turned, sigma, setting, plan, np.zeros(()))
     return np.asarray(image(), np.float64)
 

@@ -14,7 +14,6 @@ from dpc_jax.measure.stability import oracles
 from dpc_jax.measure.stability.oracles import REAL
 from dpc_jax.measure.stability.runner import IN_WIDE, WIDE, make_cases
 from dpc_jax.render import (
-    compensate_widening,
     mass_of_peak,
     opacity,
     quaternion,
@@ -149,23 +148,10 @@ PEAKS = (
 )
 # Without a gradient at half a voxel, where the slope of the smaller sigma is taken, and
 # at one, where it is half of each side's. In 16 bits 0.500001 is the kink itself.
-COMPENSATED = (
-    *((f"sigma {s:g}", s) for s in (0.0, 1e-30, 0.3, 0.75, 2.0, 3e38)),
-    ("sigma 0.5", 0.5, NO_GRADIENT),
-    ("sigma 0.500001", 0.500001, IN_WIDE),
-    ("sigma 1", 1.0, NO_GRADIENT),
-)
 
 
 def _find_mass(peak, sigma):
     return peak * (2 * oracles.PI) ** REAL(1.5) * sigma * sigma * sigma
-
-
-def _narrow(sigma):
-    """The oracle of `compensate_widening`."""
-    if np.real(sigma) <= 0.5:
-        return sigma
-    return sigma * np.sqrt(1 - oracles.clip(2 * sigma - 1) / (6 * sigma * sigma))
 
 
 SPLATTING = [
@@ -180,9 +166,6 @@ SPLATTING = [
         is_half_checked=False,
     ),
     *make_cases("mass of a peak", mass_of_peak, _find_mass, (8, 16), PEAKS),
-    *make_cases(  # the root of a number between 1/2 and 1
-        *("compensated widening", compensate_widening, _narrow, (8, 64), COMPENSATED)
-    ),
 ]
 
 # Covariances.

@@ -172,8 +172,6 @@ TARGETS = (
     Target("voxelize", _voxelize, (_POINTS, _TURN, _SIGMAS, _SCALE), 0, 1),
     Target("splat", functools.partial(render.splat, shape=SHAPE), _SPLATS),
     Target("smooth", render.smooth, (Range(SHAPE, -1e30, 1e30, (0, 1)), _SIGMA)),
-    Target("compensate_widening", render.compensate_widening,
-           (Range((7,), 0, LARGEST, (0, 3)),), 0),
     Target("mass_of_peak", render.mass_of_peak, _PEAKS),
     Target("opacity", render.opacity, _RAYS, 0, 1),
     Target("termination_probabilities", render.termination_probabilities, _RAYS, 0, 1),

@@ -8,7 +8,6 @@ constant inside of a cell for order 1, linear for 2, quadratic for 3.
 import functools
 from typing import Any
 
-import chex
 import jax
 import jax.numpy as jnp
 from jax.typing import ArrayLike
@@ -207,7 +206,7 @@ def narrow(sigma: jax.Array, order: int) -> jax.Array:
     """The sigma to smooth with, () in voxels: √(σ² - (order + 1)/12).
 
     The spline has the variance (order + 1)/12 of its own. Where sigma is below that,
-    nothing is smoothed. Order 1 is left as it is (`compensate_widening`).
+    nothing is smoothed. Order 1 is left as it is.
     """
     if order == 1:
         return sigma
@@ -220,29 +219,3 @@ def narrow(sigma: jax.Array, order: int) -> jax.Array:
 def find_least(order: int) -> float:
     """Standard deviation of a spline in voxels, the least that it can draw."""
     return ((order + 1) / 12) ** 0.5
-
-
-def compensate_widening(sigma: chex.Numeric) -> jax.Array:
-    """The sigma with which the fast method draws points as wide as the basic one.
-
-    Trilinear weights have a width of their own: along an axis, with the fractional
-    offset r, their variance is r(1 - r), on average 1/6 voxel². Smoothing adds σ². So
-    √(σ² - 1/6) draws what the basic method draws with σ: at two voxels the difference
-    between the images is 16 times smaller, that between the gradients as before
-    (docs/projection.md). Below one voxel a point is not smooth on the grid, and less is
-    subtracted (a heuristic), down to nothing at half a voxel. Sigma may have any shape,
-    in voxels, >= 0; the result is continuous and increasing.
-
-    Returns:
-      The sigma to render with, of the same shape.
-
-    Example:
-      >>> round(float(dpc_jax.compensate_widening(2.0)), 3)
-      1.958
-    """
-    sigma = jnp.asarray(sigma)
-    share = jnp.clip(2 * sigma - 1, 0, 1)
-    # From half a voxel on the root is taken of at least 1/4: no slope is infinite.
-    is_wide = sigma > 0.5
-    safe = jnp.where(is_wide, sigma, 1)
-    return jnp.where(is_wide, safe * jnp.sqrt(1 - share / 6 / safe / safe), sigma)
