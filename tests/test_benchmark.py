@@ -10,7 +10,7 @@ from dpc_jax.measure import scenes, timing
 from dpc_jax.measure.benchmark import accuracy, plan, report, speed
 
 TINY = plan.Case(batch=2, points=40, side=8, sigma=1.0)
-SURFACE = plan.Case(1, points=200, side=32, sigma=0.5), ("silhouette", "color")
+SURFACE = plan.Case(1, points=200, side=32, sigma=0.5)
 
 
 def test_things_compared_take_turns_after_a_round_that_is_not_counted():
@@ -38,19 +38,6 @@ def test_distances_are_relative_and_defined_for_nothing():
     assert speed.measure_distance(np.ones(4), np.zeros(4)) == np.inf
 
 
-def test_scenes_are_the_same_every_time_and_fill_the_unit_ball():
-    first, second = (
-        scenes.make_scenes(num_points=200, num_sparse=20, seed=5) for _ in range(2)
-    )
-    assert [s.name for s in first] == ["car", "chair", "block", "sparse"]
-    for one, other in zip(first, second, strict=True):
-        np.testing.assert_array_equal(one.points, other.points)
-        assert 0.3 < np.linalg.norm(one.points, axis=1).max() < 0.51
-        assert np.linalg.norm(one.pose) == pytest.approx(1)
-        cosine = abs(one.pose @ one.target_pose)
-        assert 20 < np.degrees(2 * np.arccos(cosine)) < 35
-
-
 def test_errors_of_an_exact_setting_vanish_and_of_a_rough_one_do_not():
     grids = {"base_side": 8, "sides": (8,), "reference_side": 8}
     tiny = dataclasses.replace(plan.QUICK, rounds=1, **grids)
@@ -65,14 +52,6 @@ def test_errors_of_an_exact_setting_vanish_and_of_a_rough_one_do_not():
         assert exact[f"{kind}_error"] < 1e-12
         assert exact[f"{kind}_error_same_grid"] < 1e-12
         assert 1e-3 < rough[f"{kind}_error"] < 1
-
-
-@pytest.mark.slow
-def test_a_surface_has_the_same_gradient_in_blocks_as_in_the_whole_volume():
-    result = speed.compare_volumes(*SURFACE, rounds=1)
-    assert set(result["median_seconds"]) == set(result["bytes"]) == {"whole", "blocks"}
-    assert 0.1 < result["share"] < 0.7
-    assert result["gradient_difference"] < 1e-5  # float32, sums in another order
 
 
 def make_record(setting, seconds, error, sigma=1.0, scene="car"):
@@ -131,7 +110,7 @@ def test_unknown_names_are_refused(command, flag, tmp_path, capsys):
 
 
 def test_one_command_measures_and_writes(tmp_path, monkeypatch, capsys):
-    surface = SURFACE[0], ("silhouette",)  # compiled in a third of the time
+    surface = SURFACE, ("silhouette",)
     tiny = dataclasses.replace(plan.QUICK, rounds=1, sizes=(surface,))
     monkeypatch.setattr(benchmark, "QUICK", tiny)
     assert benchmark.main(["--quick", "--parts=sizes", f"--out={tmp_path}"]) == 0

@@ -115,12 +115,6 @@ def test_a_public_function_says_what_it_returns_and_its_example_holds(name):
     assert not failed, "".join(said)
 
 
-def test_every_picture_is_on_a_page():
-    pages = "".join(page.read_text(encoding="utf-8") for page in [*PAGES, LOG])
-    pictures = [p for p in (ROOT / "docs" / "images").rglob("*") if p.is_file()]
-    assert pictures and [p.name for p in pictures if p.name not in pages] == []
-
-
 def test_the_notebook_is_kept_with_its_pictures_and_without_errors():
     cells = json.loads(NOTEBOOK.read_text(encoding="utf-8"))["cells"]
     outputs = [o for c in cells if c["cell_type"] == "code" for o in c["outputs"]]

@@ -203,13 +203,6 @@ def test_a_search_from_nothing_finds_most_poses(scene, monkeypatch):
         ({"colors": np.ones((3, 32, 32))}, "colors must be RGB images"),
         ({"settings": FitSettings(steps=(3,))}, "settings.steps must have a number"),
         ({"settings": FitSettings(camera_share=0.2)}, "camera_share must be a pair"),
-        (
-            {
-                "silhouettes": np.ones((3, 96, 96)),
-                "settings": FitSettings(sides=(64,), steps=(1,)),
-            },
-            "64.* divide, but it is 96",
-        ),
     ],
 )
 def test_what_cannot_be_fitted_is_said_in_a_sentence(changes, words):

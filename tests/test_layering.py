@@ -10,30 +10,10 @@ import sys
 import tomllib
 from pathlib import Path
 
-import pytest
-
 import dpc_jax
 from dpc_jax.commands import COMMANDS
 
 ROOT = Path(dpc_jax.__file__).parent
-
-
-@pytest.mark.parametrize(
-    "modules, heavy",
-    [
-        ("dpc_jax", "jax numpy trimesh orbax matplotlib scipy flax optax"),
-        ("dpc_jax.data", "jax trimesh embreex rich PIL"),
-        ("dpc_jax.data.__main__, dpc_jax.data.workers", "jax flax matplotlib"),
-        # What reads photographs.
-        ("dpc_jax.predict, dpc_jax.run.prediction", "jax flax matplotlib"),
-    ],
-)
-def test_importing_modules_loads_no_heavy_library(modules, heavy):
-    code = f"import sys, {modules}; print(set({heavy.split()}) & set(sys.modules))"
-    result = subprocess.run(
-        [sys.executable, "-c", code], capture_output=True, text=True
-    )
-    assert result.stdout.strip() == "set()", result.stdout + result.stderr
 
 
 def run_lightly(code):

@@ -160,15 +160,6 @@ def test_half_turns_of_a_cloud_without_distinct_axes_are_still_half_turns(axes):
     np.testing.assert_allclose(turns @ turns.T, np.eye(4), atol=1e-6)
 
 
-def test_turned_candidate_i_is_head_i_mod_k_after_a_turn_of_the_object():
-    candidates, turns = random_quaternions(1, 5), random_quaternions(2, 4)
-    turned = half_turns.turn_candidates(jnp.array(candidates), jnp.array(turns))
-    assert turned.shape == (20, 4)
-    for i, q in enumerate(turned):
-        expected = rotation_matrix(candidates[i % 5]) @ rotation_matrix(turns[i // 5])
-        np.testing.assert_allclose(rotation_matrix(q), expected, atol=1e-5)
-
-
 # The training objective against the plain minimum.
 
 

@@ -18,7 +18,7 @@ import numpy as np
 import pytest
 import trimesh
 from config_files import TINY, load_editable
-from data_trees import save_disc, write_photos
+from data_trees import save_disc, write_boxes, write_photos
 from orbax.checkpoint import v1 as ocp
 from PIL import Image
 
@@ -243,10 +243,7 @@ def test_a_finished_run_is_judged_on_photographs_of_its_test_objects(
 
 
 def test_a_finished_run_is_judged_on_meshes_of_another_source(finished, tmp_path):
-    for side in (0.2, 0.4):
-        (tmp_path / "boxes").mkdir(exist_ok=True)
-        box = trimesh.creation.box([1, side, side])
-        box.export(tmp_path / "boxes" / f"{side}.ply")
+    write_boxes(tmp_path / "boxes", 2)
     run = tmp_path / "run"
     shutil.copytree(finished[0], run)
     config = json.loads((run / "config.json").read_text())
@@ -405,13 +402,6 @@ def test_views_of_one_object_are_refined_together(
     assert sides == {2 * read_config(workdir).data.image_size}
 
 
-def make_boxes(folder, count):
-    folder.mkdir()
-    for i in range(count):
-        trimesh.creation.box((0.8, 0.4 + i / 50, 0.3)).export(folder / f"{i}.ply")
-    return str(folder)
-
-
 def predict_points(workdir):
     """The points that a run predicts of a grey square, [N, 3]."""
     image = np.zeros((16, 16, 4), np.uint8)
@@ -450,8 +440,8 @@ def test_known_and_labelled_poses_and_another_source_with_one_head_run_too(
     short = {"train.steps": 2}
     fields = OTHER_PATHS[name]
     if name == "other":
-        meshes = make_boxes(command.folder / "boxes", 6)
-        others = make_boxes(command.folder / "others", 2)
+        meshes = str(write_boxes(command.folder / "boxes", 6))
+        others = str(write_boxes(command.folder / "others", 2))
         fields = fields | {"data.meshes": meshes, "data.test_meshes": others}
     if name == "images":
         photos = command.folder / "photos"

@@ -75,14 +75,6 @@ def test_an_image_size_that_cannot_be_halved_to_four_is_refused_in_a_sentence(si
         shapes_of(ImageEncoder(channels=2, hidden=4), image_shape(size))
 
 
-def test_each_head_starts_from_random_numbers_of_its_own():
-    ensemble = PoseEnsemble(num_heads=3, hidden=8)
-    params = jax.jit(ensemble.init)(KEY, jnp.ones((1, 8)))
-    kernels = params["params"]["heads"]["Dense_0"]["kernel"]
-    for a, b in itertools.combinations(kernels, 2):
-        assert not np.any(a == b)
-
-
 def test_a_single_regressor_is_its_own_student_and_one_that_selects_has_logits():
     make = functools.partial(
         ShapePoseNetwork, num_points=4, channels=2, hidden=8, shape_hidden=8

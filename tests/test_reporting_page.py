@@ -4,10 +4,7 @@ import base64
 import dataclasses
 import io
 import json
-import os
 import re
-import subprocess
-import sys
 
 import numpy as np
 import pytest
@@ -163,26 +160,6 @@ def test_a_curve_follows_the_seconds_not_the_order_of_lines():
     seconds, values = figures.find_curve(lines, "pose_accuracy")
     assert seconds.tolist() == [1, 2, 5]
     np.testing.assert_allclose(values, [10, 20, 50])  # percent
-
-
-def test_nothing_is_loaded_that_is_not_needed_and_nothing_said(tmp_path):
-    code = """
-import logging, sys
-logging.basicConfig(level=logging.INFO)
-import dpc_jax.reporting.export
-assert not {"matplotlib", "trimesh"} & set(sys.modules)
-from dpc_jax.reporting import figures
-figures.draw_curves([], sys.argv[1])
-assert "matplotlib.pyplot" not in sys.modules
-"""
-    done = subprocess.run(
-        [sys.executable, "-c", code, str(tmp_path / "a.png")],
-        env=os.environ | {"MPLCONFIGDIR": str(tmp_path)},
-        capture_output=True,
-        text=True,
-    )
-    # Matplotlib makes its cache of fonts, which it would tell of.
-    assert (done.stdout, done.stderr) == ("", "")
 
 
 def test_a_table_escapes_its_cells_and_aligns_numbers():
