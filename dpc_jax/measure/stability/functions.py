@@ -146,8 +146,6 @@ PEAKS = (
     ("peak 1e30, sigma 1e-15", 1e30, 1e-15, IN_WIDE),
     ("sigma 0", 1.0, 0.0),
 )
-# Without a gradient at half a voxel, where the slope of the smaller sigma is taken, and
-# at one, where it is half of each side's. In 16 bits 0.500001 is the kink itself.
 
 
 def _find_mass(peak, sigma):
