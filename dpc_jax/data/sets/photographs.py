@@ -11,10 +11,11 @@ from pathlib import Path
 from typing import NamedTuple
 
 import numpy as np
+from PIL import Image
 
 from dpc_jax.data.sets import framing, masks, pose_files
 from dpc_jax.data.sets.image_folder import list_images
-from dpc_jax.data.sets.pictures import SUFFIXES, read_frames, to_colors
+from dpc_jax.data.sets.pictures import MOST_SIDE, SUFFIXES, read_frames, to_colors
 from dpc_jax.data.spec import DataSpec
 from dpc_jax.outputs import show_text
 
@@ -127,9 +128,16 @@ def _read_cameras(folder: Path | None) -> dict[Path, pose_files.Pose]:
 
 
 class _View(NamedTuple):
+    """A photograph, of which only the part that shows the object is kept.
+
+    part: RGBA of the object's box. to_part: [3, 3] from pixels of the photograph to
+    pixels of the part.
+    """
+
     source: str
-    colors: np.ndarray
-    mask: np.ndarray
+    outline: framing.Outline
+    part: Image.Image
+    to_part: np.ndarray
     camera: pose_files.Pose | None
 
 
@@ -158,8 +166,26 @@ def _read_file(path, finds_masks, cameras, skipped) -> list[_View]:
                 sentence = f"{source}: {sentence}"
             skipped.append((source, sentence))
             continue
-        views.append(_View(source, to_colors(frame), mask, cameras.get(path)))
+        outline, camera = framing.trace_outline(mask > 0.5), cameras.get(path)
+        views.append(_View(source, outline, *_keep_object(frame, mask), camera))
     return views
+
+
+def _keep_object(frame, mask) -> tuple[Image.Image, np.ndarray]:
+    """The part and the matrix of a `_View`: hundreds of photographs fit into memory."""
+    whole = Image.fromarray(to_colors(frame))
+    whole.putalpha(Image.fromarray(np.rint(255 * mask).astype(np.uint8)))
+    box = whole.getchannel("A").getbbox()
+    assert box, "a mask that passed its check shows something"
+    corners = np.reshape(box, (2, 2))
+    side = int(np.ptp(corners, axis=0).max())
+    margin = side // 16 + 2  # of nothing, which samples at the rim mix with
+    low, high = np.clip(corners + [[-margin], [margin]], 0, whole.size)
+    factor = -(-side // MOST_SIDE)
+    high = low + factor * -((low - high) // factor)
+    part = whole.crop((*low.tolist(), *high.tolist())).reduce(factor)
+    x, y = low / factor
+    return part, np.array([[1 / factor, 0, -x], [0, 1 / factor, -y], [0, 0, 1]])
 
 
 def _find_mask(frame, path, finds_masks) -> np.ndarray:
@@ -172,16 +198,27 @@ def _find_mask(frame, path, finds_masks) -> np.ndarray:
 
 
 def _frame(name, views: list[_View], files, spec: DataSpec) -> Photographs:
-    outlines = [framing.trace_outline(view.mask > 0.5) for view in views]
     cameras = [view.camera for view in views if view.camera]
+    outlines = [view.outline for view in views]
     frames = framing.frame_views(outlines, cameras or None, spec)
-    pairs = [(view.colors, view.mask) for view in views]
-    arrays = framing.cut_frames(pairs, frames, spec)
+    squares = [
+        frame._replace(homography=view.to_part @ frame.homography)
+        for view, frame in zip(views, frames, strict=True)
+    ]
     side = max(spec.image_size, min(2 * spec.image_size, FINEST))
-    fine = framing.cut_frames(pairs, frames, dataclasses.replace(spec, image_size=side))
+    arrays, fine = (
+        framing.cut_frames(map(_split, views), squares, wanted)
+        for wanted in (spec, dataclasses.replace(spec, image_size=side))
+    )
     sources, turns = tuple(view.source for view in views), None
     if cameras:
         pairs = zip(frames, cameras, strict=True)
         turns = np.stack([frame.rotation @ own.rotation.T for frame, own in pairs])
     arrays = arrays["images"], arrays["masks"], fine["masks"]
     return Photographs(name, sources, *arrays, files, turns)
+
+
+def _split(view: _View) -> tuple[np.ndarray, np.ndarray]:
+    """Colours and mask (0 to 1) of the part of a view."""
+    layers = np.asarray(view.part)
+    return layers[..., :3], layers[..., 3] / np.float32(255)
