@@ -21,7 +21,6 @@ SMALL = {
 def get_config(variant: str | None = None):
     """Few, small cars and few steps; the variants of the other configs."""
     config = replace_fields(build_config("car", variant), SMALL)
-    pose = {"num_heads": min(config.pose.num_heads, 2)}
-    if config.pose.choice_points:
-        pose |= {"choice_points": 50, "choice_top": 4}
+    heads, top = config.pose.num_heads, config.pose.choice_top
+    pose = {"num_heads": min(heads, 2), "choice_top": min(top, 2)}
     return to_config_dict(replace_fields(config, {"pose": pose}))

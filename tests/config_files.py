@@ -18,14 +18,13 @@ TINY = {
     "log.every": 1,
     "data.image_size": 16,
     "data.surface_points": 300,
-    "data.processes": 1,
     "network.channels": 2,
     "network.hidden": 16,
     "network.shape_hidden": 16,
     "render.grid": 8,
     "render.fine_grid": 0,
     "render.num_points": 40,
-    "pose.choice_points": 0,
+    "pose.choice_top": 0,
 }
 
 

@@ -111,10 +111,9 @@ def test_the_official_split_is_read_and_what_it_misses_is_counted(tmp_path, caps
     ((_, remark),) = data.remarks  # the seventh model is in no split
     assert "leaves out 1 model" in remark
     assert load(tmp_path, tmp_path / "cache", split="val").names == (NAMES[3],)
-    moved = tmp_path / "elsewhere.csv"
-    (tmp_path / "all.csv").rename(moved)
-    again = load(tmp_path, tmp_path / "cache", split_file=str(moved))
-    assert again.names == data.names
+    (tmp_path / "splits").mkdir()
+    (tmp_path / "all.csv").rename(tmp_path / "splits" / "all.csv")
+    assert load(tmp_path, tmp_path / "cache").names == data.names
 
 
 def write_table(path, sides):

@@ -30,7 +30,7 @@ def make_config(folder, category="chair", **data):
     """A tiny config of procedural shapes; 6 of its validation chairs are complete."""
     config = dataclasses.replace(tiny_config(), category=category)
     sizes = dict(val_models=8, test_models=4, views=1, surface_points=200)
-    changed = sizes | {"cache_dir": str(folder / "data"), "processes": 1} | data
+    changed = sizes | {"cache_dir": str(folder / "data")} | data
     return dataclasses.replace(config, data=dataclasses.replace(config.data, **changed))
 
 

@@ -28,7 +28,7 @@ VARIANTS = {
         {"head": "viewpoint", "student": "selects", "flips": True}
         | {"common_frame": "colors", "sees_mask": True, "fine_grid": 16}
         | {"framed_views": True}
-        | {"choice_points": 10, "choice_top": 3}
+        | {"choice_top": 3}
         | {"pull_weight": 0.1, "repulsion_weight": 0.1, "containment_weight": 30.0},
         {"reprojection", "student", "pull", "repulsion", "containment", "turned_back"},
         {"pose", "student"},

@@ -81,7 +81,6 @@ REFUSED = [  # fields, the folder of the test as HERE, and words of the sentence
     ({"data.fold": "0/5"}, "data.fold must be '' unless there is a folder"),
     (MESHES | {"data.fold": "5/5"}, "data.fold must be '' or PART/PARTS"),
     (MESHES | {"data.fold": "0/5", "data.test_meshes": "HERE"}, "data.fold must"),
-    (MESHES | {"data.split_file": __file__}, "split_file must be '' without"),
     # Of the systems that the paper compares with.
     (VOXELS | {"network.point_size": "sigma"}, "points have no size"),
     (VOXELS | SMALL, "at least 8"),
@@ -146,7 +145,6 @@ def test_what_does_not_change_the_result_may_differ(config, tmp_path):
     (tmp_path / "metrics.jsonl").touch()  # of a run that has begun
     changes = {
         "data.cache_dir": "elsewhere",
-        "data.processes": 7,
         "log.every": 3,
         "render.renders_at_once": 7,
         "run.devices": 1,

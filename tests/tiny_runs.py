@@ -42,7 +42,6 @@ PLAIN = {
         num_heads=3,
         flips=False,
         student="regresses",
-        choice_points=0,
         choice_top=0,
         common_frame="",
         student_weight=0.01,

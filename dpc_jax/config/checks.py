@@ -83,17 +83,12 @@ def _list_folder_rules(config):
     """Rules of what is done with the models of a folder."""
     data = config.data
     has_folder = any(getattr(data, name) for name in SOURCES)
-    is_free = has_folder and not (data.test_meshes or data.split_file)
+    is_free = has_folder and not data.test_meshes
     yield (
         "data.fold",
         is_free or not data.fold,
         "'' unless there is a folder of models (data.meshes, say) that is split by "
         "seed and tested on itself",
-    )
-    yield (
-        "data.split_file",
-        not data.split_file or data.shapenet or data.renders or data.images,
-        "'' without data.shapenet or data.renders or data.images",
     )
 
 

@@ -28,7 +28,6 @@ COUNTABLE = Allowed(
 FOLDER = Allowed(
     lambda value: not value or os.path.isdir(value), "a folder that exists"
 )
-FILE = Allowed(lambda value: not value or os.path.isfile(value), "a file that exists")
 FOLD = Allowed(
     lambda value: not value or bool(read_fold(value)),
     "'' or PART/PARTS: of so many parts that one is tested, counted from 0",

@@ -9,7 +9,6 @@ need.
 import dataclasses
 
 from dpc_jax.config.fields import (
-    FILE,
     FOLD,
     FOLDER,
     Allowed,
@@ -44,7 +43,6 @@ class Data:
     renders: str = field("", FOLDER)  # of the renders published with the paper, or ""
     images: str = field("", FOLDER)  # of your images, a folder of views per object
     test_meshes: str = field("", FOLDER)  # to test on; "": a part of the same source
-    split_file: str = field("", FILE)  # official ShapeNet split; "": found in folder
     fold: str = field("", FOLD)  # "0/5": of five parts the first is tested; "": a tenth
     # What has a scale of its own: an object, each view, or nothing ("none").
     crop: str = field("object", one_of(*CROPS))
@@ -65,7 +63,6 @@ class Data:
     surface_voxel: float = field(0.0, between(0, 0.99))
     seed: int = field(0, at_least(0))  # of shapes, split, views and lights
     cache_dir: str = "data"  # folder where rendered sets are kept
-    processes: int = field(0, at_least(0))  # that render; 0: one per core
 
 
 @dataclasses.dataclass(frozen=True)
@@ -131,8 +128,8 @@ class Pose:
     # Regresses a pose, by the paper's angle (q and -q alike) or by the released code's
     # squares of it; or tells which candidate is how likely.
     student: str = field("selects", one_of("regresses", "squares", "selects"))
-    choice_points: int = field(250, at_least(0))  # that rank candidates; 0: no ranking
-    choice_top: int = field(6, at_least(0))  # candidates then compared exactly
+    # Candidates compared exactly, the best of a ranking by few points; 0: all.
+    choice_top: int = field(6, at_least(0))
     # What tells a kind of objects from its half turn, to be turned back: where its
     # points are, or where it has which colours; "": no kind is.
     common_frame: str = field("points", one_of("", "points", "colors"))

@@ -48,8 +48,7 @@ VARIANTS: dict[str, Changes] = {
             "num_heads": 4,
             "student_weight": 0.01,  # released code: 20 beside half the squares
             "flips": False,
-            "choice_points": 0,
-            "choice_top": 4,
+            "choice_top": 0,
             "common_frame": "",
         },
         "train": {

@@ -20,7 +20,7 @@ from dpc_jax.outputs import show_text, telling_tenths
 
 SHOWN = 20  # skipped models that are printed
 VERSION = 4  # raise it when rendering, the procedural shapes or the shards change
-PLACES = ("folder", "split_file")  # fields that do not affect the bytes
+PLACES = ("folder",)  # fields that do not affect the bytes
 RECORD = "spec.json"  # the file that finishes a cache
 
 

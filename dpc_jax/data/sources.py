@@ -87,8 +87,8 @@ class Source:
         return self.folder / name
 
     def find_split_file(self) -> Path | None:
-        """The official split, given or found."""
-        return Path(self.spec.split_file) if self.spec.split_file else None
+        """The official split, where one lies in the folder."""
+        return None
 
     def group_models(self, models: dict[str, Path]) -> list[str] | None:
         """A name for each model; a split parts none that have the same."""

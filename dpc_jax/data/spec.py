@@ -20,7 +20,7 @@ class DataSpec:
     """Everything that determines a data set; equal specs give equal bytes.
 
     With `folder` the models are what is in it, split by `fractions` and `seed` or by an
-    official split file; `kind` says what that is: mesh files, a ShapeNet tree, renders
+    official split in it; `kind` says what that is: mesh files, a ShapeNet tree, renders
     as published with the paper's code, or a user's own images. Without a folder they
     are procedural shapes of `category`, and each split has its own seeds, "final" too.
     """
@@ -45,6 +45,5 @@ class DataSpec:
     surface_voxel: float = Data.surface_voxel  # one point per voxel this wide; 0: all
     visible_points: int = 0  # also so many that can be seen from outside
     kind: str = "meshes"  # of the folder, one of `KINDS`
-    split_file: str | None = None  # official split; None: looked for in the folder
     crop: str = Data.crop  # of own images: one scale per "object", "view", or "none"
     fill: float = FILL  # share of the frame that an own image's object takes

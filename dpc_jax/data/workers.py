@@ -178,7 +178,7 @@ def _write_in_processes(plan, numbers, count):
                 tail = log.read().decode("utf-8", errors="replace")[-2000:].strip()
                 raise ChildProcessError(
                     "Expected a render process to end well, but it ended with status "
-                    f"{worker.returncode}; set data.processes to 1 to look closer. Its "
-                    f"last words:\n{tail}."
+                    f"{worker.returncode}; run the command on one core (taskset -c 0) "
+                    f"to look closer. Its last words:\n{tail}."
                 )
     yield

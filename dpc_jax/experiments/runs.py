@@ -74,7 +74,7 @@ SIZES = {
             "network.shape_hidden": 32,
             "render.keep_levels": 1,  # one stage, one program to compile
             "render.num_points": 200,
-            "pose.choice_points": 0,
+            "pose.choice_top": 0,
             "train.steps": 10,  # enough to log, validate, save
             "log.every": 5,
             "log.evaluate": 0,  # the last step has one anyhow

@@ -118,9 +118,7 @@ def load_set(config: Config, spec: DataSpec) -> DataSet:
     """A data set of a run, from its cache or prepared now; see `load_sets`."""
     data = config.data
     with explaining_full_disk(data.cache_dir):
-        return load_or_render(
-            spec, cache_dir=data.cache_dir, processes=data.processes or None
-        )
+        return load_or_render(spec, cache_dir=data.cache_dir)
 
 
 def collect_warnings(sets: dict[str, DataSet]) -> list[str]:
@@ -136,7 +134,6 @@ def _split_folder(config, kind, shared):
         shared,
         kind=kind,
         folder=getattr(data, kind),
-        split_file=data.split_file or None,
         crop=data.crop,
         fractions=(0.9 - tested, 0.1, tested),
         fold=read_fold(data.fold),

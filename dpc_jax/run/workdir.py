@@ -24,7 +24,6 @@ from dpc_jax.outputs import trying_to_write
 # What may differ between a run and its continuation.
 FREE_FIELDS = (
     "data.cache_dir",
-    "data.processes",
     "log",
     "render.renders_at_once",
     "run",

@@ -47,8 +47,7 @@ class SynsetSource(Source):
         return self.place.name
 
     def find_split_file(self) -> Path | None:
-        given = super().find_split_file()
-        return given or splits.find_split(self.folder, self.synset)
+        return splits.find_split(self.folder, self.synset)
 
     def expect_model(self, name: str) -> Path:
         return self.place / name

@@ -18,6 +18,10 @@ from dpc_jax.learning.signals import make_targets
 from dpc_jax.render import Camera, checks
 from dpc_jax.render.batch import map_renders
 
+# Among the first of a cloud: the winner is one of the three best of such a ranking in
+# 0.99 of the views.
+RANKING_POINTS = 250
+
 
 class Winners(NamedTuple):
     """The candidates that explain the views of a batch best.
@@ -56,7 +60,8 @@ def choose_poses(
     pose, render, camera = recipe.pose, recipe.render, recipe.camera
     weights = recipe.weights._replace(background=0)  # silhouettes by their squares
     at_once = render.renders_at_once
-    how = Choice(pose.choice_points, pose.choice_top, at_once, weights)
+    is_ranked = 0 < pose.choice_top < candidates.shape[1]
+    how = Choice(RANKING_POINTS * is_ranked, pose.choice_top, at_once, weights)
     shapes, still, cameras = jax.lax.stop_gradient((shapes, candidates, cameras))
     kind = type(shapes)
     scene, shared = shapes.list_scenes()

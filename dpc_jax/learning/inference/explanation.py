@@ -7,7 +7,7 @@ import jax
 import jax.numpy as jnp
 
 from dpc_jax.config import Config
-from dpc_jax.learning.choice.hindsight import compare_in_scene
+from dpc_jax.learning.choice.hindsight import RANKING_POINTS, compare_in_scene
 from dpc_jax.learning.framing import (
     Frame,
     cut_silhouettes,
@@ -103,7 +103,7 @@ def rank_poses(
     if observation.frame is not None:
         return compare_poses(scene, poses, observation, config=config)
     target, own, _ = observation
-    how = Choice(config.pose.choice_points, 0, config.render.renders_at_once)
+    how = Choice(RANKING_POINTS, 0, config.render.renders_at_once)
     view = _place_view(poses, own, target.shape[0], config)
     kind = find_shape_class(config.network.shape)
     # Else XLA projects each point again for every pixel.

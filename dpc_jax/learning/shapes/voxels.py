@@ -84,7 +84,7 @@ class Voxels(Shape):
         cls, scene: Scene, view: View, target: jax.Array, places: None, how: Choice
     ) -> jax.Array | None:
         """Volumes stay as they are, and are seen in a coarser grid."""
-        if target.shape[0] < 2 * COARSE_SIDE:
+        if not how.points or target.shape[0] < 2 * COARSE_SIDE:
             return None
         return cls.compare_candidates(
             scene,

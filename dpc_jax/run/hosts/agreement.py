@@ -18,7 +18,7 @@ from dpc_jax.config import Config, list_fields, name_differences
 # For what process 0 does alone while the others wait for it, and for slow hosts.
 PATIENCE_SECONDS = 4 * 3600
 # What may differ between the processes of a job.
-OWN_FIELDS = ("data.cache_dir", "data.processes")
+OWN_FIELDS = ("data.cache_dir",)
 PACKAGES = ("dpc_jax", "jax", "jaxlib", "flax", "optax", "numpy")
 
 _Result = TypeVar("_Result")
