@@ -87,14 +87,6 @@ SHAPES = [
     (project, {"method": "quartic"}, "method.*trilinear.*quartic"),
     (project, {"sigma": np.ones(5), "method": "trilinear"}, "linear.*size per point"),
     (project, {"sigma": 0.5, "method": "cubic"}, "at least 0.577 voxels"),
-    (
-        *(project, {"sigma": np.array([0.5, 1, 2, 4.5, 1]), "method": "levels"}),
-        "a factor of at most 8",
-    ),
-    (
-        *(anisotropic, {"covariance": MATRICES, "method": "levels"}),
-        "has no covariance",
-    ),
     (blocks, {"max_blocks": 0}, "max_blocks must be an integer of at least 1"),
     (blocks, {"method": "gaussian"}, "one sigma for all points"),
     (

@@ -5,10 +5,10 @@ from jax.typing import ArrayLike, DTypeLike
 
 from dpc_jax.render import checks
 from dpc_jax.render.camera import Camera, VoxelGrid
-from dpc_jax.render.fast import levels, splatting
+from dpc_jax.render.fast import splatting
 
 SIGNALS = ("silhouette", "depth", "color", "termination")
-METHODS = ("auto", *splatting.ORDERS, "levels", "gaussian")
+METHODS = ("auto", *splatting.ORDERS, "gaussian")
 RAY_RULES = ("termination", "maximum")
 _POSES = "use jax.vmap over several poses"
 _SIZES = "pass a scalar or one value per point"
@@ -94,20 +94,10 @@ def choose_method(method: str, sigma: jax.Array | None) -> str:
         return "trilinear" if is_shared else "gaussian"
     if method == "gaussian":
         return method
-    if method == "levels":
-        if sigma is None:
-            raise ValueError(
-                "sigma must be given with the method 'levels', which has no covariance;"
-                " pass method='gaussian' or 'auto'."
-            )
-        if checks.is_known(sigma):
-            levels.check_sizes(sigma)
-        return method
     if sigma is None or sigma.ndim:
         raise ValueError(
             f"sigma must be one number with the method {method!r}, which smooths all "
-            "points alike, but a size per point came; pass method='levels' or "
-            "'gaussian'."
+            "points alike, but a size per point came; pass method='gaussian'."
         )
     order = splatting.ORDERS[method]
     least = splatting.find_least(order)

@@ -95,11 +95,9 @@ def project(
       method: "trilinear" (the paper's fast method: points to their eight neighbouring
         cells, then one smoothing), "quadratic" and "cubic" (to 27 and 64 cells by
         B-splines: for a sigma from 1 voxel on their gradient with respect to points is
-        within 6 and 2 % of the exact one), "levels" (a sigma per point, from half a
-        voxel on, as a mixture of six shared ones), "gaussian" (the paper's basic
-        method: every point its own Gaussian, exact), or "auto", which takes "trilinear"
-        for one shared sigma and "gaussian" for a sigma per point or a covariance;
-        static.
+        within 6 and 2 % of the exact one), "gaussian" (the paper's basic method: every
+        point its own Gaussian, exact), or "auto", which takes "trilinear" for one
+        shared sigma and "gaussian" for a sigma per point or a covariance; static.
       ray_rule: the silhouette of a ray, static: "termination" (1 - Π(1 - o), the
         paper's) or "maximum" (of its occupancies: Perspective Transformer Nets; equal
         maxima share the gradient). Depth and colour always take Eq. 4.

@@ -10,7 +10,7 @@ from jax.typing import ArrayLike
 from dpc_jax.render import arguments, checks, quaternion
 from dpc_jax.render.camera import Camera, VoxelGrid, to_camera_frame, to_grid
 from dpc_jax.render.exact import covariances, gaussians
-from dpc_jax.render.fast import levels, smoothing, splatting
+from dpc_jax.render.fast import smoothing, splatting
 
 # Up to so many channels of colour, volumes are kept for the backward pass. Filling them
 # again took as long as all the rest: 34 ms for a render with its gradient where keeping
@@ -28,7 +28,7 @@ class Scene:
     is_inside: jax.Array  # [N] bool, in the volume and in front of the camera
     sigma: jax.Array | None  # () or [N] in voxels
     covariance: jax.Array | None  # [N, 3, 3] in the grid's axes, voxels²
-    # "gaussian", "levels", or one of `splatting.ORDERS`
+    # "gaussian", or one of `splatting.ORDERS`
     method: str = dataclasses.field(metadata={"static": True})
 
 
@@ -115,17 +115,11 @@ def _sum_smoothed(scene, colors, shape):
 
     The backward pass keeps the volumes of few channels, and fills those of many again.
     """
-    if scene.method == "levels":
-        sizes = jnp.broadcast_to(scene.sigma, scene.is_inside.shape)
-        found = levels.find_levels(sizes, scene.is_inside)
-    else:
-        order = splatting.ORDERS[scene.method]
-        sigma = splatting.narrow(scene.sigma, order)
+    order = splatting.ORDERS[scene.method]
+    sigma = splatting.narrow(scene.sigma, order)
 
     def fill(mass):
         mass = jnp.where(scene.is_inside, mass, 0)
-        if scene.method == "levels":
-            return levels.fill(scene.coordinates, mass, found, shape)
         volume = splatting.splat_inside(scene.coordinates, mass, shape, order)
         return smoothing.smooth(volume, sigma)
 

@@ -60,7 +60,7 @@ def _write_speed(out, results) -> list[str]:
         "*gradient*: largest relative L2 difference among the gradients from the first "
         "call of the same work. "
         f"`project_batch` on {count} device{'s' * (count != 1)}; *PyTorch* does a "
-        "batch at once. *levels*: sizes of 0.7 to 2.5 voxels.",
+        "batch at once. A sigma per point: of 0.7 to 2.5 voxels.",
     ]
 
 

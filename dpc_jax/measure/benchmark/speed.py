@@ -71,13 +71,12 @@ def compare_with_peers(case: Case, *, rounds: int) -> dict[str, Any]:
 
 
 def compare_sizes(case: Case, *, rounds: int) -> dict[str, Any]:
-    """A sigma per point, of 0.7 to 2.5 voxels, by levels and exactly; one for all."""
+    """A sigma per point, of 0.7 to 2.5 voxels, beside one for all."""
     work = _draw_work(case)
     sizes = np.random.default_rng([SEED, 2]).uniform(0.7, 2.5, (1, case.points))
     calls = {
         name: _make_call(work, sigma, method=method)
         for name, method, sigma in (
-            ("levels", "levels", sizes),
             ("gaussian", "gaussian", sizes),
             (ONE_SIZE, "trilinear", case.sigma),
         )

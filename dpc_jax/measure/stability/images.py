@@ -239,7 +239,6 @@ SUMS = (
     ("gaussian", 1000, False, 64),
     ("gaussian", 100_000, False, 64),
     ("gaussian", 1000, True, 16),
-    ("levels", 1000, True, 16),
 )
 
 

@@ -162,7 +162,6 @@ TARGETS = (
     _project_target("trilinear", _PERSPECTIVE, _SIGMA),
     _project_target("trilinear", _FLAT, _SIGMA),
     _project_target("quadratic", _PERSPECTIVE, _SIGMA),
-    _project_target("levels", _PERSPECTIVE, _SIGMAS),
     _project_target("gaussian", _PERSPECTIVE, _SIGMA),
     _project_target("gaussian", _PERSPECTIVE, _SIGMAS),
     _project_target("gaussian", _PERSPECTIVE, _COVARIANCES),
