@@ -424,16 +424,10 @@ OTHER_PATHS = {
     },
     "images": {"train.models_per_batch": 2, "log.evaluate": 2},
 }
-OFTEN = ("known",)  # the others take as long, and touch less of their own
 
 
-@pytest.mark.parametrize(
-    "name",
-    [
-        pytest.param(name, marks=() if name in OFTEN else pytest.mark.slow)
-        for name in OTHER_PATHS
-    ],
-)
+@pytest.mark.slow  # tests/package.sh trains with known poses, too
+@pytest.mark.parametrize("name", OTHER_PATHS)
 def test_known_and_labelled_poses_and_another_source_with_one_head_run_too(
     command, name, capsys
 ):

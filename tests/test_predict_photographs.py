@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 from data_trees import write_photos
 from PIL import Image
+from scipy.spatial.transform import Rotation
 
 from dpc_jax.data import DataSpec
 from dpc_jax.data.sets import masks, pictures
@@ -16,8 +17,12 @@ from dpc_jax.data.sets.photographs import MOST_FRAMES, read_photographs
 from dpc_jax.data.sets.pose_files import read_poses
 from dpc_jax.data.viewpoints import look_at_rotation
 from dpc_jax.data.views import build_scene, draw_lights, render_view
-from dpc_jax.evaluation.rotations import to_rotation
-from dpc_jax.run.prediction.objects import PredictedObject, turn_to_cameras
+from dpc_jax.evaluation.rotations import to_quaternion, to_rotation
+from dpc_jax.run.prediction.objects import (
+    PredictedObject,
+    agree_on_pose,
+    turn_to_cameras,
+)
 from dpc_jax.shapes.procedural import make_shape
 
 SPEC = DataSpec("car", kind="images", folder=".", image_size=16, crop="object")
@@ -144,14 +149,24 @@ def test_views_of_known_cameras_are_those_that_training_would_see(tmp_path):
     assert not skipped and one.name == "mug" and one.files == tuple(files)
     np.testing.assert_array_equal(one.images, arrays["images"])
     np.testing.assert_array_equal(one.masks, arrays["masks"])
-    # A pose in the view that was cut out is told as one in the camera that took it.
+    # A pose in the view that was cut out is told as one in the camera that took it, and
+    # one that all other views deny is theirs.
     cameras = read_poses([place / "transforms.json"])
     own = [cameras[file].rotation for file in files]
-    seen = PredictedObject(one, *[None] * 3, arrays["quaternions"], *[None] * 2)
+    poses = to_rotation(arrays["quaternions"])
+    poses[1] = poses[1] * Rotation.from_euler("z", 180, degrees=True)
+    seen = PredictedObject(one, *[None] * 3, to_quaternion(poses), *[None] * 2)
     found = to_rotation(turn_to_cameras(seen).poses).as_matrix()
     np.testing.assert_allclose(found, own, atol=1e-6)  # float32
+    far = Rotation.from_rotvec([[0, 0, 0], [0.2, 0, 0], [0, 0.3, 0], [0, 0, -2.0]])
+    agreed = agree_on_pose(to_quaternion(far), np.stack([np.eye(3)] * 4))
+    mean = to_quaternion(
+        far[:3].mean()
+    )  # within 18° of the first; the last is 115° off
+    np.testing.assert_allclose(agreed, np.tile(mean, (4, 1)), atol=1e-12)
     plain = dataclasses.replace(SPEC, crop="none")  # framed as in training: as they are
     (as_they_are,), _ = read(place, spec=plain)
+    assert as_they_are.cameras is None
     assert np.abs(1.0 * as_they_are.masks - one.masks).max() > 100
     draw_disc().save(place / "new.png")  # which has no camera, and is not asked for
     assert len(read(place)[0][0].images) == 4

@@ -31,8 +31,9 @@ class Photographs(NamedTuple):
       images: uint8 [V, S, S, 3] on white. masks: uint8 [V, S, S].
       fine_masks: uint8 [V, F, F], twice as fine up to `FINEST`.
       files: that the views are from.
-      turns: [V, 3, 3] from the camera of each to one that looks straight at the object,
+      cameras: [V, 3, 3] from the world to a camera that looks straight at the object,
         as `images` are; None where cameras are not known.
+      turns: [V, 3, 3] from the camera that took each photograph to that one, or None.
     """
 
     name: str
@@ -41,6 +42,7 @@ class Photographs(NamedTuple):
     masks: np.ndarray
     fine_masks: np.ndarray
     files: tuple[Path, ...]
+    cameras: np.ndarray | None = None
     turns: np.ndarray | None = None
 
 
@@ -210,12 +212,15 @@ def _frame(name, views: list[_View], files, spec: DataSpec) -> Photographs:
         framing.cut_frames(map(_split, views), squares, wanted)
         for wanted in (spec, dataclasses.replace(spec, image_size=side))
     )
-    sources, turns = tuple(view.source for view in views), None
-    if cameras:
-        pairs = zip(frames, cameras, strict=True)
-        turns = np.stack([frame.rotation @ own.rotation.T for frame, own in pairs])
-    arrays = arrays["images"], arrays["masks"], fine["masks"]
-    return Photographs(name, sources, *arrays, files, turns)
+    sources = tuple(view.source for view in views)
+    found = Photographs(
+        *(name, sources, arrays["images"], arrays["masks"], fine["masks"], files)
+    )
+    if not cameras:
+        return found
+    turned = np.stack([f.rotation for f in frames if f.rotation is not None])
+    own = np.stack([camera.rotation for camera in cameras])
+    return found._replace(cameras=turned, turns=turned @ own.swapaxes(1, 2))
 
 
 def _split(view: _View) -> tuple[np.ndarray, np.ndarray]:

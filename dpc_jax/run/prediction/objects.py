@@ -16,7 +16,7 @@ from dpc_jax.data.sets.photographs import Photographs
 from dpc_jax.evaluation.alignment import Alignment, align_points, align_poses
 from dpc_jax.evaluation.confidence import Confidence, measure_confidence
 from dpc_jax.evaluation.images import resize
-from dpc_jax.evaluation.rotations import to_quaternion, to_rotation
+from dpc_jax.evaluation.rotations import angle_deg, to_quaternion, to_rotation
 from dpc_jax.learning import framing
 from dpc_jax.learning.inference.predictor import (
     VIEWS_AT_ONCE,
@@ -29,6 +29,8 @@ from dpc_jax.run.prediction import PredictRequest, knows_distance, make_spec
 from dpc_jax.run.process import prepare_process
 from dpc_jax.run.trained import TrainedNetwork, load_checkpoint, load_split
 from dpc_jax.run.workdir import read_alignment, read_config, read_metrics
+
+NEAR = 30.0  # degrees between poses of different views that mean the same
 
 
 class PredictedObject(NamedTuple):
@@ -207,6 +209,7 @@ def _join_and_refine(
         fine = {"render": {"fine_grid": masks.shape[-1]}}
         config = replace_fields(config, fine)
     refiner = make_refiner(run.network, config)
+    predictions = _hold_still(predictions, predicted)
     widths: dict[int, list[int]] = {}  # of about as many views, together
     for place, one in enumerate(predicted):
         if is_refined or len(one.rows) > 1:
@@ -248,12 +251,46 @@ def _judge(one: Any, found: Any, config: Config) -> list[Confidence]:
     return [measure_confidence(*view) for view in views]
 
 
+def _hold_still(
+    predictions: Predictions, predicted: list[PredictedObject]
+) -> Predictions:
+    """Predictions where objects before known cameras have one pose, as only candidate.
+
+    It is that of the object in the world.
+    """
+    poses, candidates = map(np.array, (predictions.poses, predictions.candidates))
+    for one in predicted:
+        if one.photographs.cameras is not None:
+            poses[one.rows, 0] = agree_on_pose(
+                poses[one.rows, 0], one.photographs.cameras
+            )
+            candidates[one.rows, 0] = poses[one.rows]
+    return predictions._replace(poses=poses, candidates=candidates)
+
+
+def agree_on_pose(poses: np.ndarray, cameras: np.ndarray) -> np.ndarray:
+    """Poses [V, 4] of an object that stands still before cameras [V, 3, 3].
+
+    The cameras turn the world to each view. Of the poses in the world that single views
+    tell, that one counts to which the others are nearest, those beyond `NEAR` twice as
+    far as that, so that half turns and mirror poses have no weight; and the mean of all
+    within `NEAR` of it is taken.
+    """
+    turns = Rotation.from_matrix(cameras)
+    own = turns.inv() * to_rotation(poses)
+    quaternions = to_quaternion(own)
+    away = angle_deg(quaternions[:, None], quaternions[None])
+    middle = np.argmin(np.sum(np.minimum(away, 2 * NEAR), axis=1))
+    return to_quaternion(turns * own[away[middle] < NEAR].mean())
+
+
 def turn_to_cameras(one: PredictedObject) -> PredictedObject:
     """Poses in the cameras that took the photographs, where these are known."""
-    turns = one.photographs.turns
-    if turns is None or one.poses is None:
+    given = one.photographs
+    if given.cameras is None or given.turns is None or one.poses is None:
         return one
-    own = Rotation.from_matrix(turns).inv() * to_rotation(one.poses)
+    poses = agree_on_pose(one.poses, given.cameras)  # refinement turns each
+    own = Rotation.from_matrix(given.turns).inv() * to_rotation(poses)
     return one._replace(poses=to_quaternion(own))
 
 
