@@ -16,7 +16,7 @@ from dpc_jax.data.sets.photographs import Photographs
 from dpc_jax.evaluation.alignment import Alignment, align_points, align_poses
 from dpc_jax.evaluation.confidence import Confidence, measure_confidence
 from dpc_jax.evaluation.images import resize
-from dpc_jax.evaluation.rotations import angle_deg, to_quaternion, to_rotation
+from dpc_jax.evaluation.rotations import to_quaternion, to_rotation
 from dpc_jax.learning import framing
 from dpc_jax.learning.inference.predictor import (
     VIEWS_AT_ONCE,
@@ -31,6 +31,7 @@ from dpc_jax.run.trained import TrainedNetwork, load_checkpoint, load_split
 from dpc_jax.run.workdir import read_alignment, read_config, read_metrics
 
 NEAR = 30.0  # degrees between poses of different views that mean the same
+UNSEEN = 0.1  # probability of a pose that a view does not think of
 
 
 class PredictedObject(NamedTuple):
@@ -259,38 +260,64 @@ def _hold_still(
     It is that of the object in the world.
     """
     poses, candidates = map(np.array, (predictions.poses, predictions.candidates))
+    chances = np.asarray(predictions.probabilities)
     for one in predicted:
-        if one.photographs.cameras is not None:
-            poses[one.rows, 0] = agree_on_pose(
-                poses[one.rows, 0], one.photographs.cameras
-            )
-            candidates[one.rows, 0] = poses[one.rows]
+        cameras, rows = one.photographs.cameras, (one.rows, 0)
+        if cameras is not None:
+            known = poses[rows], candidates[rows], chances[rows]
+            poses[rows] = agree_on_pose(cameras, *known)
+            candidates[rows] = poses[rows][:, None]
     return predictions._replace(poses=poses, candidates=candidates)
 
 
-def agree_on_pose(poses: np.ndarray, cameras: np.ndarray) -> np.ndarray:
+def agree_on_pose(
+    cameras: np.ndarray,
+    poses: np.ndarray,
+    candidates: np.ndarray,
+    probabilities: np.ndarray,
+) -> np.ndarray:
     """Poses [V, 4] of an object that stands still before cameras [V, 3, 3].
 
-    The cameras turn the world to each view. Of the poses in the world that single views
-    tell, that one counts to which the others are nearest, those beyond `NEAR` twice as
-    far as that, so that half turns and mirror poses have no weight; and the mean of all
-    within `NEAR` of it is taken.
+    A pose of the object in the world is as likely as the student finds those near it in
+    all views, and `UNSEEN` of each view at least. The likeliest is improved by the mean
+    of those that views were predicted near it.
+
+    Args:
+      cameras: rotations, world to camera. poses: [V, 4], predicted of single views.
+      candidates: [V, C, 4]. probabilities: [V, C] of the student.
     """
     turns = Rotation.from_matrix(cameras)
     own = turns.inv() * to_rotation(poses)
-    quaternions = to_quaternion(own)
-    away = angle_deg(quaternions[:, None], quaternions[None])
-    middle = np.argmin(np.sum(np.minimum(away, 2 * NEAR), axis=1))
-    return to_quaternion(turns * own[away[middle] < NEAR].mean())
+    given = np.stack(
+        [
+            to_quaternion(turn * to_rotation(each))
+            for turn, each in zip(turns.inv(), candidates, strict=True)
+        ]
+    )
+    tried = np.concatenate([to_quaternion(own), given.reshape(-1, 4)])
+    least = np.cos(np.deg2rad(NEAR) / 2)
+    # [tried, V]
+    votes = [
+        np.sum(chances * (np.abs(tried @ one.T) > least), axis=1)
+        for one, chances in zip(given, probabilities, strict=True)
+    ]
+    best = tried[np.argmax(np.sum(np.log(np.add(votes, UNSEEN)), axis=0))]
+    near = np.abs(to_quaternion(own) @ best) > least
+    agreed = own[near].mean() if near.any() else to_rotation(best)
+    return to_quaternion(turns * agreed)
 
 
 def turn_to_cameras(one: PredictedObject) -> PredictedObject:
-    """Poses in the cameras that took the photographs, where these are known."""
+    """Poses in the cameras that took the photographs, where these are known.
+
+    Refinement has turned each by itself; their mean in the world is taken.
+    """
     given = one.photographs
     if given.cameras is None or given.turns is None or one.poses is None:
         return one
-    poses = agree_on_pose(one.poses, given.cameras)  # refinement turns each
-    own = Rotation.from_matrix(given.turns).inv() * to_rotation(poses)
+    turns = Rotation.from_matrix(given.cameras)
+    shared = turns * (turns.inv() * to_rotation(one.poses)).mean()
+    own = Rotation.from_matrix(given.turns).inv() * shared
     return one._replace(poses=to_quaternion(own))
 
 
