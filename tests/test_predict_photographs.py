@@ -18,11 +18,7 @@ from dpc_jax.data.sets.pose_files import read_poses
 from dpc_jax.data.viewpoints import look_at_rotation
 from dpc_jax.data.views import build_scene, draw_lights, render_view
 from dpc_jax.evaluation.rotations import angle_deg, to_quaternion, to_rotation
-from dpc_jax.run.prediction.objects import (
-    PredictedObject,
-    agree_on_pose,
-    turn_to_cameras,
-)
+from dpc_jax.run.prediction.still_objects import agree_on_pose, turn_to_cameras
 from dpc_jax.shapes.procedural import make_shape
 
 SPEC = DataSpec("car", kind="images", folder=".", image_size=16, crop="object")
@@ -152,8 +148,8 @@ def test_views_of_known_cameras_are_those_that_training_would_see(tmp_path):
     # A pose in the view that was cut out is told as one in the camera that took it.
     cameras = read_poses([place / "transforms.json"])
     own = [cameras[file].rotation for file in files]
-    seen = PredictedObject(one, *[None] * 3, arrays["quaternions"], *[None] * 2)
-    found = to_rotation(turn_to_cameras(seen).poses).as_matrix()
+    poses = turn_to_cameras(arrays["quaternions"], one.cameras, one.turns)
+    found = to_rotation(poses).as_matrix()
     np.testing.assert_allclose(found, own, atol=1e-6)  # float32
     plain = dataclasses.replace(SPEC, crop="none")  # framed as in training: as they are
     (as_they_are,), _ = read(place, spec=plain)

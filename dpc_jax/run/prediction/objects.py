@@ -8,7 +8,6 @@ from typing import Any, NamedTuple
 
 import jax.numpy as jnp
 import numpy as np
-from scipy.spatial.transform import Rotation
 
 from dpc_jax.config import Config, replace_fields
 from dpc_jax.data import DataSet
@@ -16,7 +15,6 @@ from dpc_jax.data.sets.photographs import Photographs
 from dpc_jax.evaluation.alignment import Alignment, align_points, align_poses
 from dpc_jax.evaluation.confidence import Confidence, measure_confidence
 from dpc_jax.evaluation.images import resize
-from dpc_jax.evaluation.rotations import to_quaternion, to_rotation
 from dpc_jax.learning import framing
 from dpc_jax.learning.inference.predictor import (
     VIEWS_AT_ONCE,
@@ -26,12 +24,10 @@ from dpc_jax.learning.inference.predictor import (
 )
 from dpc_jax.learning.signals import spread_masks
 from dpc_jax.run.prediction import PredictRequest, knows_distance, make_spec
+from dpc_jax.run.prediction.still_objects import agree_on_pose, turn_to_cameras
 from dpc_jax.run.process import prepare_process
 from dpc_jax.run.trained import TrainedNetwork, load_checkpoint, load_split
 from dpc_jax.run.workdir import read_alignment, read_config, read_metrics
-
-NEAR = 30.0  # degrees between poses of different views that mean the same
-UNSEEN = 0.1  # probability of a pose that a view does not think of
 
 
 class PredictedObject(NamedTuple):
@@ -94,8 +90,7 @@ def predict_objects(
             one = one._replace(confidences=_judge(one, predictions, config))
         if config.pose.known:
             one = one._replace(poses=None)
-        one = one if alignment is None else _align(one, alignment)
-        predicted[place] = turn_to_cameras(one)
+        predicted[place] = _place(one, alignment)
     return predicted
 
 
@@ -270,59 +265,13 @@ def _hold_still(
     return predictions._replace(poses=poses, candidates=candidates)
 
 
-def agree_on_pose(
-    cameras: np.ndarray,
-    poses: np.ndarray,
-    candidates: np.ndarray,
-    probabilities: np.ndarray,
-) -> np.ndarray:
-    """Poses [V, 4] of an object that stands still before cameras [V, 3, 3].
-
-    A pose of the object in the world is as likely as the student finds those near it in
-    all views, and `UNSEEN` of each view at least. The likeliest is improved by the mean
-    of those that views were predicted near it.
-
-    Args:
-      cameras: rotations, world to camera. poses: [V, 4], predicted of single views.
-      candidates: [V, C, 4]. probabilities: [V, C] of the student.
-    """
-    turns = Rotation.from_matrix(cameras)
-    own = turns.inv() * to_rotation(poses)
-    given = np.stack(
-        [
-            to_quaternion(turn * to_rotation(each))
-            for turn, each in zip(turns.inv(), candidates, strict=True)
-        ]
-    )
-    tried = np.concatenate([to_quaternion(own), given.reshape(-1, 4)])
-    least = np.cos(np.deg2rad(NEAR) / 2)
-    # [tried, V]
-    votes = [
-        np.sum(chances * (np.abs(tried @ one.T) > least), axis=1)
-        for one, chances in zip(given, probabilities, strict=True)
-    ]
-    best = tried[np.argmax(np.sum(np.log(np.add(votes, UNSEEN)), axis=0))]
-    near = np.abs(to_quaternion(own) @ best) > least
-    agreed = own[near].mean() if near.any() else to_rotation(best)
-    return to_quaternion(turns * agreed)
-
-
-def turn_to_cameras(one: PredictedObject) -> PredictedObject:
-    """Poses in the cameras that took the photographs, where these are known.
-
-    Refinement has turned each by itself; their mean in the world is taken.
-    """
-    given = one.photographs
-    if given.cameras is None or given.turns is None or one.poses is None:
-        return one
-    turns = Rotation.from_matrix(given.cameras)
-    shared = turns * (turns.inv() * to_rotation(one.poses)).mean()
-    own = Rotation.from_matrix(given.turns).inv() * shared
-    return one._replace(poses=to_quaternion(own))
-
-
-def _align(one: PredictedObject, alignment: Alignment) -> PredictedObject:
-    """In the data's frame."""
-    points = align_points(alignment, one.points)
-    poses = None if one.poses is None else align_poses(alignment, one.poses)
-    return one._replace(points=points, poses=poses, is_aligned=True)
+def _place(one: PredictedObject, alignment: Alignment | None) -> PredictedObject:
+    """In the data's frame and the cameras of the photographs, where they are known."""
+    points, poses, given = one.points, one.poses, one.photographs
+    if alignment is not None:
+        points = align_points(alignment, points)
+        poses = None if poses is None else align_poses(alignment, poses)
+    if not (poses is None or given.cameras is None or given.turns is None):
+        poses = turn_to_cameras(poses, given.cameras, given.turns)
+    is_aligned = alignment is not None
+    return one._replace(points=points, poses=poses, is_aligned=is_aligned)
