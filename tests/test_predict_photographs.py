@@ -117,13 +117,10 @@ def test_a_folder_holds_the_views_of_one_object(tmp_path):
     assert one.name == "object" and len(one.images) == 4
 
 
-def test_the_part_that_is_kept_of_a_large_photograph_shows_what_the_whole_does(
-    tmp_path,
-):
+def test_the_part_kept_of_a_large_photograph_shows_what_the_whole_does(tmp_path):
     rows, columns = np.mgrid[:1500, :2900]
-    pixels = np.stack([rows // 8, columns // 16, 0 * rows, 0 * rows], -1).astype(
-        "uint8"
-    )
+    layers = rows // 8, columns // 16, 0 * rows, 0 * rows
+    pixels = np.stack(layers, -1).astype(np.uint8)
     is_object = ((rows - 740) / 600) ** 2 + ((columns - 1500) / 1350) ** 2 < 1
     pixels[is_object, 3] = 255  # 2699 pixels wide: each third one is kept
     Image.fromarray(pixels).save(tmp_path / "a.png", compress_level=1)
