@@ -14,14 +14,16 @@ view without correspondences best:
      and turns by no more than 30 degrees, the limit at which views count as agreeing.
 """
 
+import warnings
 from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike
 from scipy.spatial import KDTree
+from scipy.spatial.transform import Rotation
 
-from dpc_jax.evaluation import icp, rotations
+from dpc_jax.evaluation import rotations
 from dpc_jax.evaluation.chamfer import check_points
 
 INLIER_DEG = 30.0  # a vote this near agrees: the threshold of pose accuracy
@@ -33,6 +35,14 @@ _MOST_VOTES = 1000  # views that vote where there are no shapes
 _MOST_MODES = 6
 _RIVAL_SHARE = 0.5  # modes with half of the best mode's votes are rivals (heuristic)
 _RIVAL_GAIN = 0.05  # and win with a Chamfer distance lower by this share (heuristic)
+# Of ICP.
+_REACH = 0.2  # object units; points farther apart than this are no partners
+_MAX_ITERATIONS = 30
+_TURN_DEG = 0.01  # a smaller turn ends the search
+
+# Search trees of a predicted cloud in the network's frame and of the true surface in
+# that of the object. Only query points are turned, so each is built once.
+CloudPair = tuple[KDTree, KDTree]
 
 
 class Alignment(NamedTuple):
@@ -74,8 +84,7 @@ def align(
     """
     if surfaces is None:
         votes = _vote(predicted_poses, true_poses).reshape(-1, 4)[:_MOST_VOTES]
-        voted = find_modes(votes)[0].rotation
-        return _agree(votes, voted)
+        return find_modes(votes)[0]
     poses, truth, clouds, surfaces = _check(
         predicted_poses, true_poses, points, surfaces
     )
@@ -98,23 +107,19 @@ def align(
         if flag
     ] or everyone
 
-    refined = icp.fit_rotation(trusted, voted)
-    before, after = (icp.shared_chamfer(trusted, q) for q in (voted, refined))
+    refined = fit_rotation(trusted, voted)
+    before, after = (shared_chamfer(trusted, q) for q in (voted, refined))
     # ICP on poor shapes can wander off to where no pose agrees: that refines nothing.
     near = rotations.angle_deg(refined, voted) <= INLIER_DEG
-    return _agree(votes, refined if near and after < before else voted)
+    best = rotations.canonical_sign(refined if near and after < before else voted)
+    agree = rotations.angle_deg(votes, best) <= INLIER_DEG
+    return Alignment(best, float(agree.mean()))
 
 
 def _vote(predicted_poses: ArrayLike, true_poses: ArrayLike) -> np.ndarray:
     """The alignment [..., 4] that would make each predicted pose right."""
     truth = rotations.to_rotation(true_poses)
     return rotations.to_quaternion(truth.inv() * rotations.to_rotation(predicted_poses))
-
-
-def _agree(votes: np.ndarray, rotation: np.ndarray) -> Alignment:
-    """A rotation with the share of the votes near it."""
-    is_near = rotations.angle_deg(votes, rotation) <= INLIER_DEG
-    return Alignment(rotations.canonical_sign(rotation), float(np.mean(is_near)))
 
 
 def align_points(alignment: Alignment, points: ArrayLike) -> np.ndarray:
@@ -139,13 +144,6 @@ def identity_alignment() -> Alignment:
     return Alignment(np.array([1.0, 0.0, 0.0, 0.0]), 1.0)
 
 
-class Mode(NamedTuple):
-    """A rotation [4] and the share of all votes within 30 degrees of it, 0 to 1."""
-
-    rotation: np.ndarray
-    share: float
-
-
 def _robust_mean(votes: np.ndarray, start: np.ndarray) -> np.ndarray:
     """Mean rotation [4] of votes [n, 4] around a start [4], outliers left aside.
 
@@ -165,7 +163,7 @@ def _robust_mean(votes: np.ndarray, start: np.ndarray) -> np.ndarray:
     return mean
 
 
-def find_modes(votes: ArrayLike) -> list[Mode]:
+def find_modes(votes: ArrayLike) -> list[Alignment]:
     """Modes of votes [n, 4], at least one; the one with the largest share first.
 
     The vote with the most neighbours starts a robust mean; its neighbourhood is taken
@@ -175,7 +173,7 @@ def find_modes(votes: ArrayLike) -> list[Mode]:
     q = rotations.normalize(votes).reshape(-1, 4)
     near = rotations.angle_deg(q[:, None], q[None]) <= INLIER_DEG
     left = np.ones(len(q), dtype=bool)
-    found: list[Mode] = []
+    found: list[Alignment] = []
     while left.any() and len(found) < _MOST_MODES:
         density = np.where(left, near.sum(axis=1), -1)
         seed = int(np.argmax(density))
@@ -184,26 +182,86 @@ def find_modes(votes: ArrayLike) -> list[Mode]:
         left &= ~(agree | near[seed])
         # A sparse seed can slide into a mode that is already known.
         if all(rotations.angle_deg(mean, m.rotation) > INLIER_DEG for m in found):
-            found.append(Mode(mean, float(agree.mean())))
-    return sorted(found, key=lambda mode: -mode.share)
+            found.append(Alignment(mean, float(agree.mean())))
+    return sorted(found, key=lambda mode: -mode.inlier_share)
 
 
-def _choose_mode(found: list[Mode], everyone: list[icp.CloudPair]) -> np.ndarray:
+def _choose_mode(found: list[Alignment], everyone: list[CloudPair]) -> np.ndarray:
     """The mode with most votes, unless a rival fits the shapes clearly better.
 
     With the votes split nearly evenly between two half turns, chance would decide. A
     rotation without votes is no rival, however well it fits: poses would then be wrong.
     """
-    rivals = [mode for mode in found if mode.share >= _RIVAL_SHARE * found[0].share]
+    least = _RIVAL_SHARE * found[0].inlier_share
+    rivals = [mode for mode in found if mode.inlier_share >= least]
     best = rivals[0].rotation
     if len(rivals) == 1:
         return best
-    lowest = icp.shared_chamfer(everyone, best)
+    lowest = shared_chamfer(everyone, best)
     for rival in rivals[1:]:
-        chamfer = icp.shared_chamfer(everyone, rival.rotation)
+        chamfer = shared_chamfer(everyone, rival.rotation)
         if chamfer < (1.0 - _RIVAL_GAIN) * lowest:
             best, lowest = rival.rotation, chamfer
     return best
+
+
+def shared_chamfer(pairs: Sequence[CloudPair], rotation: np.ndarray) -> float:
+    """Mean Chamfer distance of the pairs once the predictions are turned."""
+    matrix = rotations.to_rotation(rotation).as_matrix()
+    total = 0.0
+    for predicted, surface in pairs:
+        precision, _ = surface.query(predicted.data @ matrix.T)
+        coverage, _ = predicted.query(surface.data @ matrix)
+        total += precision.mean() + coverage.mean()
+    return float(total / len(pairs))
+
+
+def fit_rotation(pairs: Sequence[CloudPair], start: np.ndarray) -> np.ndarray:
+    """One rotation [4] for all pairs, at least one, by point-to-point ICP from a start.
+
+    It turns the network's frame to the object frame, without translation: both share
+    their origin. It is the start itself where fewer than two points have a partner
+    within reach, which determines no rotation.
+    """
+    rotation = rotations.normalize(start)
+    for _ in range(_MAX_ITERATIONS):
+        source, target, weight = _match(pairs, rotation)
+        if len(weight) < 2:
+            break
+        with warnings.catch_warnings():
+            # Points on a line, as a collapsed network predicts them: any turn about it
+            # is as good, and one of them comes.
+            warnings.filterwarnings("ignore", "Optimal rotation is not uniquely")
+            best, _ = Rotation.align_vectors(target, source, weights=weight)
+        refined = rotations.to_quaternion(best)
+        turn = rotations.angle_deg(refined, rotation)
+        rotation = refined
+        if turn < _TURN_DEG:
+            break
+    return rotation
+
+
+def _match(pairs: Sequence[CloudPair], rotation: np.ndarray) -> list[np.ndarray]:
+    """Predicted points [n, 3], their nearest surface points [n, 3], and weights [n].
+
+    From prediction to surface and back, within reach; each pair and each way weighs the
+    same. With the predictions alone as queries a part could slide along the surface.
+    """
+    matrix = rotations.to_rotation(rotation).as_matrix()
+    found = []
+    for predicted, surface in pairs:
+        near, index, weight = _find_partners(surface, predicted.data @ matrix.T)
+        found.append((predicted.data[near], surface.data[index], weight))
+        near, index, weight = _find_partners(predicted, surface.data @ matrix)
+        found.append((predicted.data[index], surface.data[near], weight))
+    return [np.concatenate(part) for part in zip(*found, strict=True)]
+
+
+def _find_partners(tree, points) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Which points have a partner in the tree, its index, and the weight of each."""
+    gap, index = tree.query(points, distance_upper_bound=_REACH)
+    near = np.isfinite(gap)
+    return near, index[near], np.full(near.sum(), 1.0 / near.size)
 
 
 def _draw(points: np.ndarray, count: int, rng: np.random.Generator) -> np.ndarray:
