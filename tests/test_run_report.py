@@ -116,8 +116,8 @@ def test_references_are_distances_of_clouds_that_see_no_image(sets):
 
     whole, read = sets["test"].surfaces.__getitem__, shown["test"].read_visible
     expected = {
-        "mean_shape_chamfer": average(lambda _: shapes.mean, whole),
-        "visible_mean_shape_chamfer": average(lambda _: shapes.visible_mean, read),
+        "mean_shape_chamfer": average(lambda _: shapes.means[""], whole),
+        "visible_mean_shape_chamfer": average(lambda _: shapes.means["visible_"], read),
         "nearest_shape_chamfer": average(lambda t: shapes.find_nearest(t, 60), whole),
     }
     assert {n: found[n] for n in expected} == pytest.approx(expected)

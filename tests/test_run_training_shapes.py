@@ -3,9 +3,10 @@
 import numpy as np
 
 from dpc_jax.evaluation.chamfer import chamfer_distance
-from dpc_jax.evaluation.training_shapes import (
-    ShapeIndex,
+from dpc_jax.run.report.training_shapes import (
     average_surfaces,
+    coarsen,
+    find_nearest,
     take_fullest,
 )
 
@@ -18,10 +19,11 @@ def make_boxes(count, seed=0, points=800):
 
 def test_the_shortlist_loses_little_against_comparing_all():
     boxes, others = make_boxes(80, points=500), make_boxes(6, seed=1, points=500)
-    index = ShapeIndex(boxes)
+    coarse = coarsen(boxes)
     excess = []
     for other in others:
-        found = chamfer_distance(boxes[index.find_nearest(other)], other).chamfer
+        nearest = boxes[find_nearest(boxes.__getitem__, coarse, other)]
+        found = chamfer_distance(nearest, other).chamfer
         best = min(chamfer_distance(box, other).chamfer for box in boxes)
         excess.append(found / best - 1)
     # Sampling noise of 500 points decides between shapes that are nearly as near.
