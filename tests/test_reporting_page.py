@@ -85,8 +85,8 @@ def test_the_page_carries_its_figures_and_none_is_blank(page):
     source = r'<img[^>]* alt="[^"]+" src="data:image/(\w+);base64,([^"]*)"'
     images = re.findall(source, page)
     kinds = [kind for kind, _ in images]
-    # Curves, pose errors, azimuths; predictions and signals.
-    assert kinds.count("png") == 3 and kinds.count("webp") == 2
+    # Curves, azimuths; predictions and signals.
+    assert kinds.count("png") == 2 and kinds.count("webp") == 2
     for _, data in images:
         assert picture(base64.b64decode(data)).std() > 5.0  # a blank picture has none
 

@@ -11,7 +11,7 @@ from matplotlib.lines import Line2D
 from dpc_jax.evaluation.metrics import get_metric
 from dpc_jax.files import write_text
 from dpc_jax.reporting import style
-from dpc_jax.reporting.figures import AXIS_TEXTS, find_curve, limit_metric
+from dpc_jax.reporting.figures import draw_panels, find_curve
 from dpc_jax.reporting.groups import ComparedRun, Group, find_common
 from dpc_jax.reporting.tables import format_table, make_table
 from dpc_jax.reporting.web.markup import assemble_page, embed_chart, read_asset
@@ -124,16 +124,13 @@ def draw_comparison(groups: Sequence[Group], path: Path) -> Path:
     names = min(len(groups), max(1, int(width / (0.075 * longest))))  # in a row
     height = 3.3 * rows + _LEGEND_ROW * -(-len(groups) // names)
     figure = style.make_figure(width, height)
-    panels = style.make_panels(figure, len(metrics))
-    for axes, metric in zip(panels, metrics, strict=True):
-        title, text = get_metric(metric).label, AXIS_TEXTS.get(metric, "")
-        style.label_axes(axes, title=title, x_label="run time (min)", y_label=text)
+
+    def draw(axes, metric):
         for index, group in enumerate(groups):
             for run in group.runs:
                 _draw_run(axes, run, metric, index)
-        latest = float(axes.dataLim.x1)
-        axes.set_xlim(0.0, 1.02 * latest if latest > 0 else 1.0)
-        limit_metric(axes, metric)
+
+    draw_panels(figure, metrics, draw, unit="min")
     handles = []
     for index, group in enumerate(groups):
         seeds = f" ({len(group.runs)} seeds)" if len(group.runs) > 1 else ""

@@ -1,37 +1,34 @@
-"""Figures of a run: curves over run time, pose errors, azimuths."""
+"""Figures of a run: curves over run time, pose errors over azimuth."""
 
 import os
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 from matplotlib.axes import Axes
+from matplotlib.figure import Figure
 from matplotlib.ticker import MaxNLocator
 
 from dpc_jax.evaluation.metrics import get_metric
 from dpc_jax.evaluation.pose import (
     ACCURACY_THRESHOLD_DEG,
-    FLIP_THRESHOLD_DEG,
     KINDS,
     Failures,
     count_alive,
-    pose_summary,
 )
 from dpc_jax.reporting import style
 
-# Metrics drawn over run time, with the text at their axis.
-AXIS_TEXTS = {
-    "pose_accuracy": "views within 30° (%)",
-    "pose_median_error_deg": "degrees",
-    "chamfer": "mean distance × 100",
-    "silhouette_iou": "of the images (%)",
-    "projection_error": "squares per pixel",
-    "stray_points": "of a shape",
-    "candidates_alive": "win at least 1 % of the views",
-    "loss": "loss (log scale)",
-}
-_CURVES = tuple(name for name in AXIS_TEXTS if name != "projection_error")
+# Metrics drawn over run time.
+_CURVES = (
+    "pose_accuracy",
+    "pose_median_error_deg",
+    "chamfer",
+    "silhouette_iou",
+    "stray_points",
+    "candidates_alive",
+    "loss",
+)
 
 Records = Sequence[Mapping[str, Any]]
 Stages = Sequence[tuple[int, str]]
@@ -46,14 +43,31 @@ def find_curve(records: Records, metric: str) -> tuple[np.ndarray, np.ndarray]:
     return seconds, get_metric(metric).factor * values
 
 
-def limit_metric(axes: Axes, metric: str) -> None:
-    """The y axis of a metric's curves: shares whole, all but the loss from zero."""
-    if get_metric(metric).unit == "%":
-        axes.set_ylim(0.0, 100.0)
-    elif metric != "loss":
-        axes.set_ylim(0.0, 1.08 * max(axes.dataLim.y1, 1e-9))
-    elif 0.0 < axes.dataLim.y0 < np.inf:
-        axes.set_yscale("log")
+def draw_panels(
+    figure: Figure,
+    metrics: Sequence[str],
+    draw: Callable[[Axes, str], None],
+    *,
+    unit: str,
+) -> None:
+    """A panel for each metric over one span of run time, filled by `draw`.
+
+    Shares are shown whole, all but the loss from zero.
+    """
+    panels = style.make_panels(figure, len(metrics))
+    for axes, metric in zip(panels, metrics, strict=True):
+        title = get_metric(metric).heading
+        style.label_axes(axes, title=title, x_label=f"run time ({unit})")
+        draw(axes, metric)
+        if get_metric(metric).unit == "%":
+            axes.set_ylim(0.0, 100.0)
+        elif metric != "loss":
+            axes.set_ylim(0.0, 1.08 * max(axes.dataLim.y1, 1e-9))
+        elif 0.0 < axes.dataLim.y0 < np.inf:
+            axes.set_yscale("log")
+    latest = max(float(axes.dataLim.x1) for axes in panels)
+    for axes in panels:
+        axes.set_xlim(0.0, 1.02 * latest if latest > 0 else 1.0)
 
 
 def draw_curves(
@@ -82,14 +96,12 @@ def draw_curves(
     found = {metric: find_curve(lines, metric) for metric in _CURVES}
     shown = [m for m, (seconds, _) in found.items() if seconds.size] or ["loss"]
     figure = style.make_figure(9.0, 3.0 * -(-len(shown) // 2))
-    panels = style.make_panels(figure, len(shown))
-    latest = max(found[metric][0].max(initial=0.0) for metric in shown)
-    for axes, metric in zip(panels, shown, strict=True):
-        title, y_label = get_metric(metric).label, AXIS_TEXTS[metric]
-        style.label_axes(axes, title=title, x_label="run time (s)", y_label=y_label)
+
+    def draw(axes, metric):
         _draw_curve(axes, metric, *found[metric])
-        axes.set_xlim(0.0, 1.03 * latest or 1.0)
         _mark_stages(axes, lines, stages, named=metric == shown[-1])
+
+    draw_panels(figure, shown, draw, unit="s")
     return style.save_figure(figure, path)
 
 
@@ -108,7 +120,6 @@ def _draw_curve(axes: Axes, metric: str, seconds: np.ndarray, values: np.ndarray
     else:
         look = {"color": style.BLUE, "ms": 3.5, "clip_on": False, "zorder": 3}
         axes.plot(seconds, values, "o-", **look)
-    limit_metric(axes, metric)
 
 
 def _mark_stages(axes: Axes, lines: Records, stages: Stages, *, named: bool) -> None:
@@ -129,37 +140,6 @@ def _mark_stages(axes: Axes, lines: Records, stages: Stages, *, named: bool) -> 
             axes.annotate(
                 label, where, xycoords=("data", "axes fraction"), ha="right", **text
             )
-
-
-def draw_pose_errors(views: Failures, path: str | os.PathLike) -> Path:
-    """Histogram of pose errors from 0 to 180 degrees, with the 30° line and the median.
-
-    Errors within 30° and flips, beyond 150°, have colours of their own.
-    """
-    accuracy, median, flips, counts, edges = pose_summary(views.errors_deg)
-    figure = style.make_figure(7.5, 3.8)
-    axes = figure.subplots()
-    axes.hist(edges[:-1], edges.tolist(), weights=counts, rwidth=0.9)
-    limit, flipped = ACCURACY_THRESHOLD_DEG, FLIP_THRESHOLD_DEG
-    for left, bar in zip(edges[:-1], axes.patches, strict=True):
-        far = style.AMBER if left >= flipped else style.MUTED
-        bar.set_color(style.BLUE if left < limit else far)
-    label = f"{limit:.0f}°: {100 * accuracy:.0f} % are within"
-    marks = [axes.axvline(limit, color=style.INK, lw=1.2, label=label)]
-    label = f"median: {median:.1f}°"
-    marks.append(axes.axvline(median, color=style.RED, lw=1.6, ls="--", label=label))
-    label = f"beyond {flipped:.0f}° (front as back): {100 * flips:.0f} %"
-    axes.patches[-1].set_label(label)
-    style.label_axes(
-        axes,
-        title=f"Pose errors of {views.errors_deg.size} test views",
-        x_label="angle between predicted and true pose (degrees)",
-        y_label="views",
-    )
-    axes.set(xlim=(0.0, 180.0), xticks=range(0, 181, 30))
-    axes.yaxis.set_major_locator(MaxNLocator("auto", integer=True))
-    style.add_legend(figure, handles=[*marks, axes.patches[-1]], ncols=3)
-    return style.save_figure(figure, path)
 
 
 def draw_fit(records: Records, path: str | os.PathLike) -> Path:

@@ -28,12 +28,6 @@ CAPTIONS = {
         "direction, whatever the input's; Chamfer distances are times 100, to the true "
         "shape.",
     ),
-    "pose_errors": (
-        "Pose errors",
-        "The angle between predicted and true pose over all test views. Good poses "
-        "pile up at the left, blue bars count as accurate; a second pile near 180°, in "
-        "amber, are views with front and back exchanged.",
-    ),
     "azimuths": (
         "Pose errors over azimuth",
         "Each point is a test view. A band at the top over a range of azimuths is a "
@@ -104,7 +98,6 @@ def write_report(
             folder, "predictions", draw_predictions, examples, ranking, is_photo=True
         ),
         _write_clouds(examples, folder / "points") if examples else "",
-        _draw(folder, "pose_errors", figures.draw_pose_errors, failures),
         _draw(folder, "azimuths", figures.draw_azimuths, failures),
         _compare_shapes(values),
         _draw(folder, "curves", draw_curves, records),
