@@ -12,9 +12,9 @@ from dpc_jax.evaluation.pose import (
     count_alive,
     find_failures,
     pose_summary,
-    rotation_angle_deg,
     winner_share,
 )
+from dpc_jax.evaluation.rotations import rotation_angle_deg
 
 
 def wxyz(rotation):

@@ -5,7 +5,7 @@ import numpy as np
 import pytest
 import tiny_runs
 
-from dpc_jax.evaluation.rotations import angle_deg
+from dpc_jax.evaluation.rotations import rotation_angle_deg
 from dpc_jax.learning.inference import refiner as refiner_module
 from dpc_jax.learning.inference.predictor import make_predictor, predict_all
 from dpc_jax.learning.inference.refinement import (
@@ -77,11 +77,11 @@ def test_shapes_move_along_the_directions_alone(run):
         found = gather(plain, name).reshape(run.list_plain(name).shape)
         np.testing.assert_allclose(found, run.list_plain(name), atol=1e-5)
     poses = gather(plain, "poses")[:, 0]
-    assert angle_deg(poses, run.list_plain("poses")).max() < 0.1
+    assert rotation_angle_deg(poses, run.list_plain("poses")).max() < 0.1
     np.testing.assert_allclose(
         gather(still, "points"), gather(plain, "points"), atol=1e-6
     )
-    assert angle_deg(gather(still, "poses")[:, 0], poses).max() > 0.1
+    assert rotation_angle_deg(gather(still, "poses")[:, 0], poses).max() > 0.1
 
 
 def test_refinement_begins_with_what_is_predicted_in_the_finest_grid(selecting):
@@ -92,7 +92,7 @@ def test_refinement_begins_with_what_is_predicted_in_the_finest_grid(selecting):
             gather(joined, name), selecting.list_plain(name), atol=1e-5
         )
     poses = gather(joined, "poses")[:, 0]
-    assert angle_deg(poses, selecting.list_plain("poses")).max() < 0.1
+    assert rotation_angle_deg(poses, selecting.list_plain("poses")).max() < 0.1
     refined = selecting.refine(ALONE, selecting.directions)
     true = np.asarray(selecting.masks, np.float64) / 255
     errors = (selecting.list_plain("silhouettes") - true) ** 2
@@ -115,8 +115,8 @@ def test_views_of_an_object_have_the_pose_that_their_shape_fits_best(
     joined = selecting.refine(TOGETHER, refiner=refiner)
     poses = np.concatenate([one["poses"] for one in joined])
     candidates = selecting.list_plain("candidates")
-    assert angle_deg(poses, candidates[:, 0]).max() < 0.1
-    assert angle_deg(poses, selecting.list_plain("poses")).max() > 1
+    assert rotation_angle_deg(poses, candidates[:, 0]).max() < 0.1
+    assert rotation_angle_deg(poses, selecting.list_plain("poses")).max() > 1
 
 
 @pytest.mark.slow
@@ -139,7 +139,7 @@ def test_refinement_lowers_the_error_of_silhouettes(run):
         assert after.mean() < before.mean() and one["poses"].shape == (3, 4)
     # Both the shape and the poses have moved.
     assert np.abs(gather(refined, "points") - gather(plain, "points")).max() > 1e-4
-    assert angle_deg(refined[0]["poses"], plain[0]["poses"]).max() > 0.1
+    assert rotation_angle_deg(refined[0]["poses"], plain[0]["poses"]).max() > 0.1
 
 
 def test_a_view_that_fills_up_changes_nothing(run):

@@ -17,7 +17,7 @@ from dpc_jax.data.sets.photographs import MOST_FRAMES, read_photographs
 from dpc_jax.data.sets.pose_files import read_poses
 from dpc_jax.data.viewpoints import look_at_rotation
 from dpc_jax.data.views import build_scene, draw_lights, render_view
-from dpc_jax.evaluation.rotations import angle_deg, to_quaternion, to_rotation
+from dpc_jax.evaluation.rotations import rotation_angle_deg, to_quaternion, to_rotation
 from dpc_jax.run.prediction.still_objects import agree_on_pose, turn_to_cameras
 from dpc_jax.shapes.procedural import make_shape
 
@@ -173,11 +173,11 @@ def test_views_of_known_cameras_agree_on_one_pose_of_the_object():
     poses = candidates[np.arange(views), chances.argmax(axis=1)]
     found = agree_on_pose(cameras.as_matrix(), poses, candidates, chances)
     right = to_quaternion(cameras * (true * off[2:].mean()))
-    assert angle_deg(found, right).max() < 1e-4
+    assert rotation_angle_deg(found, right).max() < 1e-4
     # What views think likely counts where no view was taken for it.
     poses = to_quaternion(Rotation.random(views, rng=random))
     found = agree_on_pose(cameras.as_matrix(), poses, candidates, chances)
-    assert angle_deg(found, to_quaternion(near)).max() < 20
+    assert rotation_angle_deg(found, to_quaternion(near)).max() < 20
 
 
 @pytest.mark.parametrize("kind", ["gif", "webp", "png"])

@@ -3,4 +3,4 @@
 from dpc_jax.evaluation.alignment import align as align
 from dpc_jax.evaluation.chamfer import chamfer_distance as chamfer_distance
 from dpc_jax.evaluation.pose import pose_summary as pose_summary
-from dpc_jax.evaluation.pose import rotation_angle_deg as rotation_angle_deg
+from dpc_jax.evaluation.rotations import rotation_angle_deg as rotation_angle_deg

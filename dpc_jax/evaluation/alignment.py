@@ -25,6 +25,7 @@ from scipy.spatial.transform import Rotation
 
 from dpc_jax.evaluation import rotations
 from dpc_jax.evaluation.chamfer import check_points
+from dpc_jax.evaluation.rotations import rotation_angle_deg
 
 INLIER_DEG = 30.0  # a vote this near agrees: the threshold of pose accuracy
 _KERNEL_DEG = 15.0  # width of the robust weight, half of the above (heuristic)
@@ -99,7 +100,7 @@ def align(
     everyone = [pair for views in pairs for pair in views]
     voted = _choose_mode(find_modes(votes), everyone)
     # A view far from the vote may have turned its shape with its pose: leave it out.
-    agree = rotations.angle_deg(votes, voted) <= INLIER_DEG
+    agree = rotation_angle_deg(votes, voted) <= INLIER_DEG
     trusted = [
         pair
         for views, flags in zip(pairs, agree, strict=True)
@@ -110,9 +111,9 @@ def align(
     refined = fit_rotation(trusted, voted)
     before, after = (shared_chamfer(trusted, q) for q in (voted, refined))
     # ICP on poor shapes can wander off to where no pose agrees: that refines nothing.
-    near = rotations.angle_deg(refined, voted) <= INLIER_DEG
+    near = rotation_angle_deg(refined, voted) <= INLIER_DEG
     best = rotations.canonical_sign(refined if near and after < before else voted)
-    agree = rotations.angle_deg(votes, best) <= INLIER_DEG
+    agree = rotation_angle_deg(votes, best) <= INLIER_DEG
     return Alignment(best, float(agree.mean()))
 
 
@@ -153,10 +154,10 @@ def _robust_mean(votes: np.ndarray, start: np.ndarray) -> np.ndarray:
     q = rotations.normalize(votes)
     mean = rotations.canonical_sign(start)
     for _ in range(_MAX_STEPS):
-        ratio = rotations.angle_deg(q, mean) / _KERNEL_DEG
+        ratio = rotation_angle_deg(q, mean) / _KERNEL_DEG
         weighted = rotations.to_rotation(q).mean((1.0 + ratio**2) ** -2)
         refined = rotations.to_quaternion(weighted)
-        turn = rotations.angle_deg(refined, mean)
+        turn = rotation_angle_deg(refined, mean)
         mean = refined
         if turn < _TOLERANCE_DEG:
             break
@@ -171,17 +172,17 @@ def find_modes(votes: ArrayLike) -> list[Alignment]:
     modes, half a turn apart.
     """
     q = rotations.normalize(votes).reshape(-1, 4)
-    near = rotations.angle_deg(q[:, None], q[None]) <= INLIER_DEG
+    near = rotation_angle_deg(q[:, None], q[None]) <= INLIER_DEG
     left = np.ones(len(q), dtype=bool)
     found: list[Alignment] = []
     while left.any() and len(found) < _MOST_MODES:
         density = np.where(left, near.sum(axis=1), -1)
         seed = int(np.argmax(density))
         mean = _robust_mean(q, q[seed])
-        agree = rotations.angle_deg(q, mean) <= INLIER_DEG
+        agree = rotation_angle_deg(q, mean) <= INLIER_DEG
         left &= ~(agree | near[seed])
         # A sparse seed can slide into a mode that is already known.
-        if all(rotations.angle_deg(mean, m.rotation) > INLIER_DEG for m in found):
+        if all(rotation_angle_deg(mean, m.rotation) > INLIER_DEG for m in found):
             found.append(Alignment(mean, float(agree.mean())))
     return sorted(found, key=lambda mode: -mode.inlier_share)
 
@@ -234,7 +235,7 @@ def fit_rotation(pairs: Sequence[CloudPair], start: np.ndarray) -> np.ndarray:
             warnings.filterwarnings("ignore", "Optimal rotation is not uniquely")
             best, _ = Rotation.align_vectors(target, source, weights=weight)
         refined = rotations.to_quaternion(best)
-        turn = rotations.angle_deg(refined, rotation)
+        turn = rotation_angle_deg(refined, rotation)
         rotation = refined
         if turn < _TURN_DEG:
             break

@@ -10,7 +10,8 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike
 
-from dpc_jax.evaluation import images, rotations
+from dpc_jax.evaluation import images
+from dpc_jax.evaluation.rotations import normalize, rotation_angle_deg
 
 AGREEING_DEG = 30.0  # from the pose: the threshold of pose accuracy
 _TYPICAL_ERROR = 0.1  # squared difference per pixel that costs 1 - 1/e of confidence
@@ -48,14 +49,14 @@ def measure_confidence(
       pose: [4] that was predicted. candidates: [C, 4]. probabilities: [C], sum 1.
       silhouette: [D, D] seen from that pose. mask: [D, D], both 0 to 1.
     """
-    found = rotations.normalize(candidates)
+    found = normalize(candidates)
     weights = np.asarray(probabilities, np.float64)
-    angles = rotations.angle_deg(found, pose)
+    angles = rotation_angle_deg(found, pose)
     is_near = angles <= AGREEING_DEG
     agreement, chance = float(weights[is_near].sum()), 0.0
     if (~is_near).any():
         rival = found[np.argmax(np.where(is_near, -1.0, weights))]
-        is_like = ~is_near & (rotations.angle_deg(found, rival) <= AGREEING_DEG)
+        is_like = ~is_near & (rotation_angle_deg(found, rival) <= AGREEING_DEG)
         chance = float(weights[is_like].sum())
     seen, given = np.asarray(silhouette, np.float64), np.asarray(mask, np.float64)
     error = float(np.mean((seen - given) ** 2))

@@ -7,6 +7,7 @@ from numpy.typing import ArrayLike
 from scipy.spatial.transform import Rotation
 
 from dpc_jax.evaluation import rotations
+from dpc_jax.evaluation.rotations import rotation_angle_deg
 
 ACCURACY_THRESHOLD_DEG = 30.0  # paper, section Evaluation metrics
 FLIP_THRESHOLD_DEG = 150.0  # beyond it front and back count as exchanged
@@ -25,33 +26,6 @@ class PoseSummary(NamedTuple):
     flip_share: float  # share of views wrong by more than 150 degrees, 0 to 1
     counts: np.ndarray  # [bins] views per bin of the histogram
     edges_deg: np.ndarray  # [bins + 1] edges of its bins, 0 to 180 degrees
-
-
-def rotation_angle_deg(first: ArrayLike, second: ArrayLike) -> np.ndarray:
-    """Angle between rotations in degrees, 0 to 180: 2 atan2(|v|, |w|) of q1 q2^-1.
-
-    Args:
-      first, second: quaternions [..., 4], wxyz, of any length but zero; they broadcast.
-
-    Returns:
-      [...] angles. The same for q and -q, and never NaN.
-
-    Raises:
-      ValueError: a quaternion is zero, not finite, or has not 4 components, or the
-        shapes do not broadcast.
-
-    Example:
-      >>> float(dpc_jax.rotation_angle_deg([1, 0, 0, 0], [0, 0, 0, 1]))
-      180.0
-    """
-    try:
-        np.broadcast_shapes(np.shape(first), np.shape(second))
-    except ValueError as error:
-        raise ValueError(
-            "Expected two arrays of quaternions that broadcast, but their shapes are "
-            f"{np.shape(first)} and {np.shape(second)}; pass as many of each."
-        ) from error
-    return rotations.angle_deg(first, second)
 
 
 def pose_summary(errors_deg: ArrayLike) -> PoseSummary:
@@ -127,7 +101,7 @@ def find_failures(
         predicted pose and from the true one.
     """
     found = rotations.to_rotation(predicted)
-    errors = rotations.angle_deg(predicted, true)
+    errors = rotation_angle_deg(predicted, true)
     azimuths, _ = rotations.view_angles(true)
     wrong = errors > ACCURACY_THRESHOLD_DEG
     kinds = np.where(wrong, len(KINDS) - 1, -1)

@@ -54,12 +54,30 @@ def canonical_sign(quaternion: ArrayLike) -> np.ndarray:
     return to_quaternion(to_rotation(quaternion))
 
 
-def angle_deg(first: ArrayLike, second: ArrayLike) -> np.ndarray:
-    """Angle in degrees, 0 to 180, between rotations [..., 4] that broadcast.
+def rotation_angle_deg(first: ArrayLike, second: ArrayLike) -> np.ndarray:
+    """Angle between rotations in degrees, 0 to 180: 2 atan2(|v|, |w|) of q1 q2^-1.
 
-    scipy takes 2 atan2(|v|, |w|) of q1 q2^-1. Unlike 2 arccos(w) it is exact near 0,
-    never NaN through rounding, and equal for q and -q.
+    Args:
+      first, second: quaternions [..., 4], wxyz, of any length but zero; they broadcast.
+
+    Returns:
+      [...] angles. The same for q and -q, exact near 0, and never NaN.
+
+    Raises:
+      ValueError: a quaternion is zero, not finite, or has not 4 components, or the
+        shapes do not broadcast.
+
+    Example:
+      >>> float(dpc_jax.rotation_angle_deg([1, 0, 0, 0], [0, 0, 0, 1]))
+      180.0
     """
+    try:
+        np.broadcast_shapes(np.shape(first), np.shape(second))
+    except ValueError as error:
+        raise ValueError(
+            "Expected two arrays of quaternions that broadcast, but their shapes are "
+            f"{np.shape(first)} and {np.shape(second)}; pass as many of each."
+        ) from error
     relative = to_rotation(first) * to_rotation(second).inv()
     return np.degrees(relative.magnitude())
 

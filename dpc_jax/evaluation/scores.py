@@ -14,8 +14,8 @@ from dpc_jax.evaluation.pose import (
     Failures,
     find_failures,
     pose_summary,
-    rotation_angle_deg,
 )
+from dpc_jax.evaluation.rotations import rotation_angle_deg
 
 _DRAWS = 1000  # of objects
 ASKED = 10_000  # points of a visible surface whose distance to a cloud is taken

@@ -8,9 +8,9 @@ from typing import NamedTuple
 
 import numpy as np
 from scipy import ndimage
-from scipy.spatial.transform import Rotation
 
 from dpc_jax.data.arrays import DataSet
+from dpc_jax.evaluation.rotations import to_rotation
 
 SMALL, FULL = 0.005, 0.98  # shares of the image that useful masks lie between
 FILLED = 0.95  # share of masks that hulls fill: 0.98 and above for right poses
@@ -105,7 +105,7 @@ def _find_strays(data, lens):
         surface = np.asarray(data.surfaces[model])
         surface = surface[:: max(1, len(surface) // TRIED_POINTS)]
         masks = _grow(data.rows("masks", model) > 0, 1)
-        rotations = read_rotations(data.rows("quaternions", model))
+        rotations = to_rotation(data.rows("quaternions", model)).as_matrix()
         rows, columns, inside = _find_cells(surface, rotations, masks.shape[-1], lens)
         hits = masks[np.arange(len(masks))[:, None], rows, columns] & inside
         seen = np.asarray(masks.any(axis=(1, 2)))
@@ -143,7 +143,7 @@ def _check_hulls(data, lens):
 
 def _fill_masks(data, model, lens):
     """Share of an object's masks that the block carved by them fills."""
-    rotations = read_rotations(data.rows("quaternions", model))
+    rotations = to_rotation(data.rows("quaternions", model)).as_matrix()
     masks = data.rows("masks", model) > 127
     # So coarse that no gaps show between the points of the block.
     size, side = masks.shape[-1], HULL_CELLS // 2
@@ -180,11 +180,6 @@ def _grow(masks, cells) -> np.ndarray:
     width = 2 * cells + 1
     grown = ndimage.maximum_filter(masks, (1, width, width), mode="constant")
     return np.asarray(grown)
-
-
-def read_rotations(quaternions: np.ndarray) -> np.ndarray:
-    """Rotation matrices [..., 3, 3] of stored quaternions [..., 4]."""
-    return Rotation.from_quat(quaternions, scalar_first=True).as_matrix()
 
 
 def project_points(points: np.ndarray, rotations: np.ndarray, lens: Lens) -> np.ndarray:

@@ -12,10 +12,11 @@ from PIL import Image, ImageDraw
 from dpc_jax import files
 from dpc_jax.data import dataset, meshes
 from dpc_jax.data.arrays import ROWS, DataSet
-from dpc_jax.data.look.checks import Lens, project_points, read_rotations
+from dpc_jax.data.look.checks import Lens, project_points
 from dpc_jax.data.sets import released_renders, shapenet
 from dpc_jax.data.sets.pictures import SUFFIXES
 from dpc_jax.data.spec import DataSpec
+from dpc_jax.evaluation.rotations import to_rotation
 
 TILE = 128  # pixels of a picture on the sheet
 VIEWS = 4  # of an object on the sheet
@@ -163,7 +164,7 @@ def _scale(pixels):
 
 
 def _draw_axes(picture, quaternion, lens):
-    rotation = read_rotations(quaternion)
+    rotation = to_rotation(quaternion).as_matrix()
     ends = np.concatenate([np.zeros((1, 3)), 0.5 * np.eye(3)])
     places = project_points(ends, rotation[None], lens)[0]
     middle, *tips = (tuple(place * TILE) for place in places)

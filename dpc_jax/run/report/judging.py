@@ -21,11 +21,7 @@ from dpc_jax.evaluation.surfaces import SAMPLES, draw_points
 from dpc_jax.evaluation.wrapping import wrap_points
 from dpc_jax.files import write_json
 from dpc_jax.learning.inference import evaluator
-from dpc_jax.learning.inference.predictor import (
-    arrange_views,
-    make_predictor,
-    predict_all,
-)
+from dpc_jax.learning.inference.predictor import make_predictor, predict_all
 from dpc_jax.run.learner import Learner
 from dpc_jax.run.prediction import check_ability
 from dpc_jax.run.report.shown_views import Judged
@@ -83,15 +79,11 @@ def _judge_surfaces(judged: Judged, sets) -> dict[str, Any]:
     if shapes is None:
         return {}
     predictions, dataset, alignment = judged[:3]
-    poses, surfaces = evaluator.arrange_truth(dataset)
-    models, _ = arrange_views(dataset)
     clouds = [draw_points(*wrap_points(cloud)) for cloud in predictions.points[:, 0]]
     wrapped = predictions._replace(points=np.stack(clouds)[:, None])
-    visible = None
-    if dataset.visible is not None:
-        visible = map(dataset.read_visible, models[:, 0].tolist())
-    known = {"alignment": alignment, "visible": visible}
-    metrics = scores.score(None, poses, wrapped.points, surfaces, **known).metrics
+    found = evaluator.score(wrapped, dataset, alignment=alignment, poses_given=True)
+    distances = "chamfer", "precision", "coverage"
+    metrics = {n: v for n, v in found.metrics.items() if n.endswith(distances)}
     metrics |= shapes.measure_references(wrapped, dataset, alignment)
     return metrics | measure_gains(metrics)
 
