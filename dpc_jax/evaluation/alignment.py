@@ -233,7 +233,7 @@ def fit_rotation(pairs: Sequence[CloudPair], start: np.ndarray) -> np.ndarray:
             # Points on a line, as a collapsed network predicts them: any turn about it
             # is as good, and one of them comes.
             warnings.filterwarnings("ignore", "Optimal rotation is not uniquely")
-            best, _ = Rotation.align_vectors(target, source, weights=weight)
+            best = Rotation.align_vectors(target, source, weights=weight)[0]
         refined = rotations.to_quaternion(best)
         turn = rotation_angle_deg(refined, rotation)
         rotation = refined
