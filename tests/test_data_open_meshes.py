@@ -277,7 +277,7 @@ def test_families_and_equal_files_stay_together(tmp_path):
     (tmp_path / "families.json").write_text(families)
     for seed in range(4):
         spec = DataSpec("car", folder=str(tmp_path), seed=seed)
-        names = open_source(spec).division.sides.values()
+        names = open_source(spec).sides.values()
         sides = [{name[0] for name in side} for side in names]
         assert sum(len(side) for side in sides) == 9
         assert sum({"0", "1", "2", "3"} <= side for side in sides) == 1

@@ -93,7 +93,7 @@ def test_a_split_that_is_not_the_official_one_is_said_whatever_the_cache(
     assert "not by an official list" in warning
 
 
-def test_the_official_split_is_read_and_what_it_misses_is_counted(tmp_path, capsys):
+def test_the_official_split_is_read_and_what_it_misses_is_counted(tmp_path):
     write_tree(tmp_path)
     sides = dict(zip(NAMES[:6], ["train"] * 3 + ["val"] + ["test"] * 2, strict=True))
     rows = [
@@ -105,36 +105,23 @@ def test_the_official_split_is_read_and_what_it_misses_is_counted(tmp_path, caps
     ]
     write_csv(tmp_path / "all.csv", rows)
     data = load(tmp_path, tmp_path / "cache")
-    assert data.names == tuple(NAMES[:3])
-    ((name, reason),) = data.skipped
-    assert name == "gone" and "gone/model.obj" in reason
-    ((_, remark),) = data.remarks  # the seventh model is in no split
-    assert "leaves out 1 model" in remark
+    assert data.names == tuple(NAMES[:3]) and not data.skipped
+    ((file, remark),) = data.remarks  # the seventh model is in no split
+    assert file == str(tmp_path / "all.csv") and "leaves out 1 model" in remark
+    assert "names 1 that are not there" in remark
     assert load(tmp_path, tmp_path / "cache", split="val").names == (NAMES[3],)
     (tmp_path / "splits").mkdir()
     (tmp_path / "all.csv").rename(tmp_path / "splits" / "all.csv")
     assert load(tmp_path, tmp_path / "cache").names == data.names
 
 
-def write_table(path, sides):
-    """The same split as the serialised table it was first published in."""
-    lines, count = ["3", "1", str(len(sides))], 1
-    for split, names in sides.items():
-        count += 1
-        lines += ["2", str(len(split)), split, "3", str(count), str(len(names))]
-        for i, name in enumerate(names):
-            lines += ["1", str(i + 1), "2", str(len(name)), name]
-    path.write_text("\n".join(lines) + "\n")
-
-
-def test_three_forms_of_a_split_say_the_same(tmp_path):
+def test_both_forms_of_a_split_say_the_same(tmp_path):
     sides = {"train": NAMES[:4], "val": NAMES[4:5], "test": NAMES[5:]}
-    write_table(tmp_path / f"{SYNSET}.file", dict(reversed(sides.items())))
     for split, names in sides.items():
         (tmp_path / f"{SYNSET}_{split}.txt").write_text("\n".join(names))
     rows = [[0, SYNSET, SYNSET, n, s] for s, names in sides.items() for n in names]
     write_csv(tmp_path / "all.csv", rows)
-    for name in ("all.csv", f"{SYNSET}.file", f"{SYNSET}_val.txt"):
+    for name in ("all.csv", f"{SYNSET}_val.txt"):
         assert splits.read_split(tmp_path / name, SYNSET) == sides
 
 
@@ -145,7 +132,7 @@ def test_three_forms_of_a_split_say_the_same(tmp_path):
         ("all.csv", "synsetId,modelId,split\n1,a,train\n", "found none"),
         ("all.csv", f"synsetId,modelId,split\n{SYNSET},a,train\n{SYNSET},a,val\n",
          "a is there twice"),
-        (f"{SYNSET}.file", "3\n1\n2\n2\n5\ntrain\n3\n2\n1\n1\n", "cannot be used"),
+        (f"{SYNSET}.file", "3\n1\n3\n2\n5\ntrain\n", "SYNSET_train.txt"),
         ("all.csv", f"synsetId,modelId,split\n{SYNSET},,train\n", "line 2 has no"),
         ("cars.txt", "a\n", "SYNSET_train.txt"),
         ("x_train.txt", "a\n", "x_val.txt beside"),

@@ -60,7 +60,8 @@ def _look(flags):
             _say([*lines, _draw(opened, flags)])
             return 0
         findings = checks.check_set(opened.data, opened.lens)
-    poses = "no poses" if opened.data.quaternions is None else "poses fit their masks"
+        is_posed = checks.list_carvable(opened.data)
+    poses = "poses fit their masks" if is_posed else "no poses compared"
     found = findings or [f"no fault found; {poses}"]
     _say([lines[0], *(f"  {text}" for text in found)])
     return int(any(text.startswith("error") for text in findings))

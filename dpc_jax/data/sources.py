@@ -36,14 +36,6 @@ class Model(NamedTuple):
     views: int
 
 
-class Division(NamedTuple):
-    """Models by name, names by split, and the split file if one was read."""
-
-    models: dict[str, Path]
-    sides: dict[str, list[str]]
-    official: Path | None
-
-
 class Source:
     """A kind of data set: a folder of models that are split by a list or by seed.
 
@@ -51,7 +43,6 @@ class Source:
     """
 
     work = "Reading"  # what is done to make the arrays, in messages
-    synset = ""  # eight digits of the category in official splits
 
     def __init__(self, spec: DataSpec):
         self.spec = spec
@@ -82,20 +73,16 @@ class Source:
         """
         raise NotImplementedError
 
-    def expect_model(self, name: str) -> Path:
-        """Where a model that an official split names should lie."""
-        return self.folder / name
-
-    def find_split_file(self) -> Path | None:
-        """The official split, where one lies in the folder."""
-        return None
-
     def group_models(self, models: dict[str, Path]) -> list[str] | None:
         """A name for each model; a split parts none that have the same."""
         return None
 
-    def split_by_seed(self, models: dict[str, Path]) -> dict[str, list[str]]:
-        """A split of our own: `{split: names}`."""
+    def split_models(self, models: dict[str, Path]) -> dict[str, list[str]]:
+        """`{split: names}`, by seed; a list of names may have some that are not there.
+
+        Raises:
+          ValueError: if the models cannot be split as asked for.
+        """
         sides = splits.split_files(
             list(models),
             fractions=self.spec.fractions,
@@ -106,35 +93,19 @@ class Source:
         return dict(zip(SPLITS, sides, strict=True))
 
     @functools.cached_property
-    def division(self) -> Division:
-        """Models and splits, read when first asked for."""
+    def models(self) -> dict[str, Path]:
+        """Models of all splits by name, read when first asked for."""
         if not self.folder.is_dir():
             raise ValueError(
                 f"Expected a folder of {self.spec.kind}, but {self.folder} is not a "
                 "folder; check it."
             )
-        models = {show_text(name): path for name, path in self.find_models().items()}
-        official = self.find_split_file()
-        if official is None:
-            return Division(models, self.split_by_seed(models), None)
-        if self.spec.fold is not None:
-            raise ValueError(
-                f"data.fold must be '' where an official split is used, but {official} "
-                "is one; leave data.fold out."
-            )
-        sides = splits.read_split(official, self.synset)
-        listed = set().union(*sides.values())
-        if not listed & models.keys():
-            raise ValueError(
-                f"Expected {official} to name models of {self.folder}, but none of its "
-                f"{len(listed)} is there; give the split file of this set."
-            )
-        if unlisted := len(models.keys() - listed):
-            remark = f"leaves out {unlisted} models of the folder"
-            self.remarks.append((str(official), remark))
-        # listed all the same, so that they are counted as damaged
-        missing = {name: self.expect_model(name) for name in listed - models.keys()}
-        return Division(models | missing, sides, official)
+        return {show_text(name): path for name, path in self.find_models().items()}
+
+    @functools.cached_property
+    def sides(self) -> dict[str, list[str]]:
+        """Names by split, read when first asked for."""
+        return self.split_models(self.models)
 
     def list_models(self) -> list[Model]:
         """Models of the split in order, stretched copies, procedural shapes.
@@ -144,17 +115,17 @@ class Source:
         Raises:
           ValueError: if there are none, naming the folder.
         """
-        division, spec = self.division, self.spec
-        names = division.sides[spec.split]
+        spec = self.spec
+        names = [name for name in self.sides[spec.split] if name in self.models]
         if not names:
             raise ValueError(
                 f"Expected models for the {spec.split} split of {spec.folder}, but "
-                f"there are none among its {len(division.models)}; add models or "
-                "change the split."
+                f"there are none among its {len(self.models)}; add models or change "
+                "the split."
             )
         models = []
         for name in names:
-            path = division.models[name]
+            path = self.models[name]
             views, digest = self.identify_model(name, path)
             models.append(Model(name, str(path), 0, 0, digest, views))
         copies = [

@@ -2,8 +2,8 @@
 
 Seeded splits never part the variants of one design. Lists are read as ShapeNet users
 have them on disk: the comma-separated `all.csv` (columns id, synsetId, subSynsetId,
-modelId, split), one text file per split (`SYNSET_train.txt`, a model per line), and the
-serialised table `SYNSET.file` in which the paper's split was first published.
+modelId, split), or one text file per split (`SYNSET_train.txt`, a model per line), as
+released with the paper's code.
 """
 
 import csv
@@ -108,12 +108,11 @@ def group_variants(paths: Sequence[Path], digests: Sequence[str]) -> list[str]:
 def find_split(folder: Path, synset: str) -> Path | None:
     """Where the official split of a synset lies in or beside a folder, or None.
 
-    `all.csv`, `SYNSET.file` and `SYNSET_train.txt` are looked for in this order, each
-    in the folder itself, in its `splits`, in its synset's folder and in `splits` beside
-    the folder.
+    `all.csv` and `SYNSET_train.txt` are looked for in this order, each in the folder
+    itself, in its `splits`, in its synset's folder and in `splits` beside the folder.
     """
     places = [folder, folder / "splits", folder / synset, folder.parent / "splits"]
-    for name in ("all.csv", f"{synset}.file", f"{synset}_train.txt"):
+    for name in ("all.csv", f"{synset}_train.txt"):
         for place in places:
             if (place / name).is_file():
                 return place / name
@@ -123,13 +122,13 @@ def find_split(folder: Path, synset: str) -> Path | None:
 def read_split(path: Path, synset: str) -> dict[str, list[str]]:
     """Model ids of a synset by split, in the order of the file.
 
-    The path is that of a CSV file, which may leave out leading zeros of the synset, of
-    a `.file` table, or of any one of the text files.
+    The path is that of a CSV file, which may leave out leading zeros of the synset, or
+    of any one of the text files.
     """
-    readers = {".csv": lambda path: _read_csv(path, synset), ".file": _read_table}
     cure = "repair it or give another split file"
     with reading(f"models of {synset} by split", path, cure):
-        sides = readers.get(path.suffix, _read_texts)(path)
+        is_csv = path.suffix == ".csv"
+        sides = _read_csv(path, synset) if is_csv else _read_texts(path)
         listed = Counter(model for side in sides.values() for model in side)
         if not listed:
             raise Damage(f"found none with the splits {', '.join(SPLITS)}")
@@ -166,28 +165,3 @@ def _read_texts(path):
         lines = sibling.read_text(encoding="utf-8").split()
         sides[split] = [line.rsplit("/", 1)[-1] for line in lines]
     return sides
-
-
-def _read_table(path):
-    """Splits from a Torch table in ASCII form, which has one token per line."""
-    lines = path.read_text(encoding="utf-8").split("\n")[::-1]
-
-    def read():
-        kind = lines.pop()
-        if kind == "1":
-            return float(lines.pop())
-        if kind == "2":
-            length, text = int(lines.pop()), lines.pop()
-            if len(text) != length:
-                raise Damage(f"{text!r} is not {length} characters long")
-            return text
-        if kind == "3":
-            _, count = lines.pop(), int(lines.pop())
-            return {read(): read() for _ in range(count)}
-        raise Damage(f"a value of the unknown kind {kind!r}")
-
-    table: Any = read()
-    return {
-        split: [text for _, text in sorted(table.get(split, {}).items())]
-        for split in SPLITS
-    }

@@ -35,13 +35,13 @@ class ImageFolder(Source):
             )
         return models
 
-    def split_by_seed(self, models: dict[str, Path]) -> dict[str, list[str]]:
-        """See `Source.split_by_seed`; all splits hold one or two objects."""
+    def split_models(self, models: dict[str, Path]) -> dict[str, list[str]]:
+        """See `Source.split_models`; all splits hold one or two objects."""
         if len(models) < FEWEST_OBJECTS:
             remark = "has too few objects to split: all splits hold them all"
             self.remarks.append((str(self.folder), remark))
             return dict.fromkeys(splits.SPLITS, list(models))
-        return super().split_by_seed(models)
+        return super().split_models(models)
 
     def identify_model(self, name: str, path: Path) -> tuple[int, str]:
         """See `Source.identify_model`; it changes with any file of the object."""

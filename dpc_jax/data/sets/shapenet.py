@@ -46,21 +46,42 @@ class SynsetSource(Source):
     def synset(self) -> str:
         return self.place.name
 
-    def find_split_file(self) -> Path | None:
+    @functools.cached_property
+    def official(self) -> Path | None:
+        """The file of the official split, where one lies in the folder."""
         return splits.find_split(self.folder, self.synset)
 
-    def expect_model(self, name: str) -> Path:
-        return self.place / name
+    def split_models(self, models: dict[str, Path]) -> dict[str, list[str]]:
+        """See `Source.split_models`; as the official split says, if there is one."""
+        if self.official is None:
+            return super().split_models(models)
+        if self.spec.fold is not None:
+            raise ValueError(
+                "data.fold must be '' where an official split is used, but "
+                f"{self.official} is one; leave data.fold out."
+            )
+        sides = splits.read_split(self.official, self.synset)
+        listed = set().union(*sides.values())
+        if not listed & models.keys():
+            raise ValueError(
+                f"Expected {self.official} to name models of {self.folder}, but none "
+                f"of its {len(listed)} is there; give the split file of this set."
+            )
+        unlisted, absent = len(models.keys() - listed), len(listed - models.keys())
+        if unlisted or absent:
+            remark = f"leaves out {unlisted} models of the folder"
+            remark += f" and names {absent} that are not there"
+            self.remarks.append((str(self.official), remark))
+        return sides
 
     def list_warnings(self) -> list[str]:
         """Whether the split is another one than that of published results."""
-        sides, official = self.division.sides, self.division.official
-        counts = tuple(len(sides[split]) for split in SPLITS)
+        counts = tuple(len(self.sides[split]) for split in SPLITS)
         known = OFFICIAL.get(self.synset)
-        if official is not None and (known is None or counts in known):
+        if self.official is not None and (known is None or counts in known):
             return []
         found = "{:,}, {:,} and {:,} models".format(*counts)
-        name = f"by {official}" if official else f"by seed {self.spec.seed}"
+        name = f"by {self.official}" if self.official else f"by seed {self.spec.seed}"
         text = f"{self.folder} is split {name} (train, val, test: {found})"
         other = "an official list"
         if known:
@@ -88,9 +109,6 @@ class ShapeNet(SynsetSource, MeshSource):
                 "there is none; give the folder of ShapeNet version 1 or 2."
             )
         return models
-
-    def expect_model(self, name: str) -> Path:
-        return self.place / name / LAYOUTS[1]
 
     def identify_model(self, name: str, path: Path) -> tuple[int, str]:
         """See `Source.identify_model`; reading the contents would take hours."""
