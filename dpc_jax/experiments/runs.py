@@ -12,13 +12,13 @@ from typing import Any
 from dpc_jax import config as configs
 from dpc_jax.config import Config, from_config_dict
 from dpc_jax.experiments.catalogue import (
+    CATEGORIES,
     EXPERIMENTS,
     NAMES,
     SHIPPED,
     Experiment,
     Row,
 )
-from dpc_jax.experiments.published import CATEGORIES
 
 # What shortens the variant "paper" to minutes or an hour of a CPU core (docs/paper.md).
 _REDUCED = {
