@@ -8,8 +8,7 @@ import argparse
 import sys
 from pathlib import Path
 
-from dpc_jax.experiments.catalogue import NAMES
-from dpc_jax.experiments.published import CATEGORIES
+from dpc_jax.experiments.catalogue import CATEGORIES, NAMES
 from dpc_jax.experiments.runs import SIZES, Request
 from dpc_jax.task import FlagParser, Task, reading_names, run_command
 

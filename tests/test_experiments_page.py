@@ -71,16 +71,9 @@ def test_the_paper_s_number_stands_beside_the_mean_and_spread_of_ours():
     assert row[CHAMFER_OURS] == "4.10 ± 0.14"
     assert (row["Runs"], row["Minutes"], row["Memory (GB)"]) == ("2", "2.0", "1.5")
     assert not any(head.startswith("Precision") for head in row)  # nobody's
-
-
-def test_the_mean_shape_has_no_runs_and_no_poses():
-    label = "Mean shape of the training set"
-    results = make_results(CARS_AND_CHAIRS)
-    row = read_row(results, UNKNOWN, "car", label)
-    assert row[CHAMFER_OURS] == "6.50"
-    assert row["Pose accuracy (%), ours"] == row["Pose accuracy (%), paper"] == "–"
-    assert row["Runs"] == "measured in each run" and not row["Minutes"]
-    assert read_row(results, UNKNOWN, "chair", label)[CHAMFER_OURS] == "–"
+    mean = "Chamfer distance, mean training shape (×100), ours"
+    assert read_row(results, UNKNOWN, "car", "MVC")[mean] == "6.50 ± 0.00"
+    assert mean not in row  # unknown
 
 
 def test_what_is_missing_says_so():
@@ -152,7 +145,6 @@ def test_the_command_writes_the_page_of_what_is_finished(tmp_path, capsys):
     page = read_page(tmp_path)
     for words in (
         "nothing about how well",
-        "in each run",
         "4.15",
         "12 models",
         "in 10 steps",

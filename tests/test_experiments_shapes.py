@@ -19,6 +19,7 @@ from dpc_jax.evaluation.alignment import identity_alignment
 from dpc_jax.experiments import correspondences, interpolation, point_sizes
 from dpc_jax.learning.predictions import make_inputs
 from dpc_jax.learning.training.checkpoints import Checkpoints
+from dpc_jax.reporting import paper_figures
 from dpc_jax.reporting.clouds import DEVIATIONS, HALF_WIDTH, draw_ellipsoids
 from dpc_jax.run.trained import load_split, load_trained, predict_points
 from dpc_jax.run.workdir import claim_workdir, write_alignment
@@ -153,17 +154,23 @@ def write_error(folder, kind, count, error):
     return folder
 
 
-def test_errors_of_all_kinds_of_points_are_drawn_over_their_number(tmp_path):
+def test_errors_of_all_kinds_of_points_are_drawn_over_their_number(
+    tmp_path, monkeypatch
+):
+    def draw_gaussians(shapes, path):
+        assert shapes == {"": "0", "sigma": "sigma20"}  # of first runs
+        return path
+
+    monkeypatch.setattr(point_sizes, "predict_gaussians", lambda workdir: workdir.name)
+    monkeypatch.setattr(paper_figures, "draw_gaussians", draw_gaussians)
     workdirs = [
         write_error(tmp_path / f"{kind}{count}", kind, count, {"projection_error": 0.1})
         for kind in ("", "sigma")
         for count in (20, 60)
     ]
-    path, _ = point_sizes.draw_errors(tmp_path, workdirs)
+    unknown = write_error(tmp_path / "0", "", 20, {})
+    _, ((path, _), _) = point_sizes.run(tmp_path, [unknown, *workdirs])
     assert "<svg" in path.read_text() and "learned isotropic" in path.read_text()
-    workdirs.append(write_error(tmp_path / "damaged", "", 20, {}))
-    with pytest.raises(ValueError, match="Expected a projection error in"):
-        point_sizes.draw_errors(tmp_path, workdirs)
 
 
 def test_gaussians_of_test_objects_are_drawn_under_the_input(
@@ -172,7 +179,8 @@ def test_gaussians_of_test_objects_are_drawn_under_the_input(
     monkeypatch.setattr(point_sizes, "read_config", lambda workdir: finished.config)
     first, *_ = shapes = point_sizes.predict_gaussians(tmp_path)
     monkeypatch.setattr(point_sizes, "predict_gaussians", lambda workdir: shapes)
-    path, _ = point_sizes.draw_shapes(tmp_path, [tmp_path])
+    # Without a report there is no figure of errors.
+    _, ((path, _),) = point_sizes.run(tmp_path, [tmp_path])
     with Image.open(path) as picture:
         assert np.asarray(picture.convert("L")).std() > 5
     # Turned with the frame, hand-tuned Gaussians stay round.

@@ -6,13 +6,13 @@ from pathlib import Path
 
 from dpc_jax.evaluation.metrics import MISSING, format_metric, get_metric
 from dpc_jax.experiments.catalogue import NAMES, Experiment, Row
-from dpc_jax.experiments.published import TITLE
 from dpc_jax.experiments.results import Analysis, Results, analyze
 from dpc_jax.files import write_text
 from dpc_jax.reporting.groups import ComparedRun, Group
 from dpc_jax.reporting.tables import make_table
 from dpc_jax.reporting.web.markup import assemble_page, embed_chart
 
+TITLE = "The paper's experiments"
 INTRODUCTION = (
     "Insafutdinov and Dosovitskiy, Unsupervised Learning of Shape and Pose with "
     "Differentiable Point Clouds (NeurIPS 2018). The paper's numbers are of ShapeNet "
@@ -25,11 +25,6 @@ ONLY_RUNS = (
     "These runs have a few steps and tiny networks. They show that every experiment "
     "runs to its end; their figures say nothing about how well. --size=cpu and "
     "--size=full have figures that count."
-)
-OTHER_SYSTEMS = (
-    "The other systems have the data, the image encoder, the batches and the "
-    "evaluation of the point clouds. What of each is followed and what differs is in "
-    "the documentation (baselines.md)."
 )
 
 
@@ -65,14 +60,11 @@ def _show_experiment(
     results: Results, experiment: Experiment, folder: Path
 ) -> list[str]:
     """The section of an experiment; its own figures are drawn in the folder."""
-    title, table = escape(experiment.title), experiment.table
-    parts = [f"<h2>{title}</h2>"]
-    parts.append(_say(f"{experiment.question} Paper: {table.place}."))
+    parts = [f"<h2>{escape(experiment.title)}</h2>"]
+    parts.append(_say(f"{experiment.question} Paper: {experiment.place}."))
     for category in results.request.list_categories(experiment):
         parts.append(_show_table(*tabulate(results, experiment, category)))
-    parts += map(_say, (say_difference(results, experiment), *table.remarks))
-    if experiment.name in ("known_pose", "unknown_pose"):
-        parts.append(_say(OTHER_SYSTEMS))
+    parts += map(_say, (say_difference(results, experiment), *experiment.remarks))
     analysis = analyze(results, experiment, folder)
     parts += [_say(f"Not analysed: {problem}") for problem in analysis.problems]
     if analysis.measures:
@@ -114,8 +106,7 @@ def tabulate(
     for metric in experiment.metrics:
         heading = get_metric(metric).heading
         published = [
-            experiment.table.rows.get(row.published, {}).get(category, {}).get(metric)
-            for row in experiment.rows
+            row.published.get(category, {}).get(metric) for row in experiment.rows
         ]
         ours = [
             results.make_group(row, category).describe(metric)
@@ -136,9 +127,9 @@ def tabulate(
 
 def _describe_cost(results: Results, row: Row, category: str) -> list[str]:
     """Runs, minutes of training and memory."""
-    if absence := results.request.explain_absence(row):
-        return [absence, "", ""]
     outcomes = results.list_outcomes(row, category)
+    if not outcomes:
+        return ["too long for this size", "", ""]
     group = results.make_group(row, category)
     if not group.runs:
         failed = any(outcome.problem for outcome in outcomes)

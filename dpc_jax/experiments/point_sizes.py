@@ -21,41 +21,32 @@ SHOWN = 5  # chairs in a figure
 
 
 def run(out: Path, workdirs: Sequence[Path]) -> tuple[dict, list[tuple[Path, str]]]:
-    """No measures, and the figures of finished runs of all kinds with captions."""
-    return {}, [draw_errors(out, workdirs), draw_shapes(out, workdirs)]
+    """No measures, and the figures of finished runs of all kinds with captions.
 
-
-def draw_errors(out: Path, workdirs: Sequence[Path]) -> tuple[Path, str]:
-    """The projection error over the number of points, of finished runs of all kinds."""
-    errors: dict[str, dict[int, list[float]]] = {kind: {} for kind in figures.LABELS}
+    One has the projection errors of all runs whose reports know them; the other what
+    the first run of each kind renders, and its Gaussians as ellipsoids.
+    """
+    errors: dict[str, dict[int, list[float]]] = {}
+    firsts: dict[str, Path] = {}
     for workdir in workdirs:
-        config = read_config(workdir)
-        error = (read_metrics(workdir) or {}).get("projection_error")
-        if error is None:
-            raise ValueError(
-                f"Expected a projection error in the report of {workdir}, but there is "
-                "none; remove the report, and give the same command again."
-            )
-        by_count = errors[config.network.point_size]
-        by_count.setdefault(config.render.num_points, []).append(float(error))
-    path = out / "projection_error.svg"
-    figures.draw_projection_errors({k: v for k, v in errors.items() if v}, path)
-    caption = "Projection error against the number of points: mean and single runs."
-    return path, caption
-
-
-def draw_shapes(out: Path, workdirs: Sequence[Path]) -> tuple[Path, str]:
-    """What the first run of each kind renders, and its Gaussians as ellipsoids."""
-    runs: dict[str, Path] = {}
-    for workdir in workdirs:
-        runs.setdefault(read_config(workdir).network.point_size, workdir)
-    shapes = {kind: predict_gaussians(workdir) for kind, workdir in runs.items()}
+        config, metrics = read_config(workdir), read_metrics(workdir) or {}
+        kind, count = config.network.point_size, config.render.num_points
+        firsts.setdefault(kind, workdir)
+        error = metrics.get("projection_error")
+        if error is not None:
+            errors.setdefault(kind, {}).setdefault(count, []).append(float(error))
+    found = []
+    if errors:
+        path = figures.draw_projection_errors(errors, out / "projection_error.svg")
+        caption = "Projection error against the number of points: mean and single runs."
+        found.append((path, caption))
+    shapes = {kind: predict_gaussians(workdir) for kind, workdir in firsts.items()}
     path = figures.draw_gaussians(shapes, out / "gaussians.png")
     caption = (
         "Input, true silhouette, what the points of each kind render, and their "
         "Gaussians as ellipsoids, all seen from one side; a point has one colour."
     )
-    return path, caption
+    return {}, [*found, (path, caption)]
 
 
 def predict_gaussians(workdir: Path) -> list[figures.Gaussians]:

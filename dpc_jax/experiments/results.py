@@ -11,8 +11,6 @@ from dpc_jax.experiments.catalogue import Experiment, Row
 from dpc_jax.experiments.runs import Request, Run
 from dpc_jax.reporting.groups import ComparedRun, Group
 
-_MEAN = "mean_shape_chamfer"  # of each run's own report
-
 
 @dataclasses.dataclass(frozen=True)
 class Outcome:
@@ -48,16 +46,12 @@ class Results:
         return list(found.values())
 
     def make_group(self, row: Row, category: str) -> Group:
-        """The finished runs of a row; of the mean shape what one of them measured."""
-        if row.variant is None:
-            outcomes = [o for o in self.outcomes.values() if o.run.category == category]
-            known = ((o.metrics or {}).get(_MEAN) for o in outcomes)
-            value = next((v for v in known if v is not None), None)
-            found = {row.label: None if value is None else {"chamfer": value}}
-        else:
-            outcomes = self.list_outcomes(row, category)
-            found = {o.run.name: o.metrics for o in outcomes}
-        runs = [ComparedRun(n, metrics=m) for n, m in found.items() if m is not None]
+        """The finished runs of a row."""
+        runs = [
+            ComparedRun(outcome.run.name, metrics=outcome.metrics)
+            for outcome in self.list_outcomes(row, category)
+            if outcome.metrics is not None
+        ]
         return Group(row.label, tuple(runs))
 
 

@@ -12,13 +12,13 @@ from typing import Any
 from dpc_jax import config as configs
 from dpc_jax.config import Config, from_config_dict
 from dpc_jax.experiments.catalogue import (
+    CATEGORIES,
     EXPERIMENTS,
     NAMES,
     SHIPPED,
     Experiment,
     Row,
 )
-from dpc_jax.experiments.published import CATEGORIES
 
 # What shortens the variant "paper" to minutes or an hour of a CPU core (docs/paper.md).
 _REDUCED = {
@@ -147,7 +147,7 @@ class Run:
 
 def find_resolution(row: Row) -> str:
     """The variant of a row that sets the side of images and volume; "" for none."""
-    named = set((row.variant or "").split(",")) & set(RESOLUTIONS)
+    named = set(row.variant.split(",")) & set(RESOLUTIONS)
     return named.pop() if named else ""
 
 
@@ -177,17 +177,9 @@ class Request:
         is_long = row.is_long or find_resolution(row) in RESOLUTIONS[2:]
         return self.seeds or (size.seeds[:1] if is_long else size.seeds)
 
-    def explain_absence(self, row: Row) -> str:
-        """Why a row has no runs; "" where it has."""
-        if row.variant is None:
-            return "measured in each run"
-        if row.tag in SIZES[self.size].left_out:
-            return "too long for this size"
-        return ""
-
     def list_row_runs(self, row: Row, category: str) -> list[Run]:
         """Runs of a row, one per seed; none of what is left out."""
-        if self.explain_absence(row):
+        if row.tag in SIZES[self.size].left_out:
             return []
         return [declare_run(row, category, s, self) for s in self.list_seeds(row)]
 

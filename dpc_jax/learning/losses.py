@@ -75,14 +75,6 @@ def student_loss(
     return 1 - jnp.where(cosine >= 0, cosine, -cosine)
 
 
-def selection_loss(logits: jax.Array, winners: jax.Array) -> jax.Array:
-    """Mean cross entropy, in nats, of a student's logits [n, C] and winners [n]; ()."""
-    import optax  # not of the light install
-
-    entropies = optax.losses.softmax_cross_entropy_with_integer_labels(logits, winners)
-    return jnp.mean(entropies)
-
-
 def repulsion_energy(points: jax.Array) -> jax.Array:
     """Mean Coulomb energy 1/r of the pairs of a cloud; (). Not in the paper.
 

@@ -11,6 +11,7 @@ from typing import NamedTuple
 
 import jax
 import jax.numpy as jnp
+import optax
 
 from dpc_jax.learning import losses
 from dpc_jax.learning.cameras import Cameras
@@ -97,13 +98,15 @@ def compare_student(
 ) -> dict[str, Term]:
     """The student's loss with the hindsight winners as teachers (§ distilled ensemble).
 
-    With logits it is the cross entropy of a student that selects; K = 1 has no student.
+    With logits it is the cross entropy, in nats, of a student that selects; K = 1 has
+    no student.
     """
     pose = recipe.pose
     if pose.learned_heads < 2:
         return {}
     if poses.logits is not None:
-        loss = losses.selection_loss(poses.logits, winners.indices)
+        entropy = optax.losses.softmax_cross_entropy_with_integer_labels
+        loss = jnp.mean(entropy(poses.logits, winners.indices))
     else:
         assert poses.student is not None
         form = "squared" if pose.student == "squares" else "absolute"

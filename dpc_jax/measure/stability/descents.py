@@ -76,17 +76,10 @@ def run(*, quick: bool) -> Iterator[Row]:
             # log sigma goes evenly between its ends.
             sigmas = jnp.asarray(np.geomspace(begin, end, plan.steps), jnp.float32)
             found = [jax.device_get(program(p, sigmas, rate=rate)) for p in problems]
-            bounds = plan.bounds if words == BEST else {}
-            yield judge(f"{title}, {words}", found, bounds)
-
-
-def judge(name: str, found: list[dict[str, Any]], bounds: dict[str, float]) -> Row:
-    """The row of one recipe: medians of the errors over seeds."""
-    errors = {
-        key: (float(np.median([e[key] for e in found])), bounds.get(key, np.inf))
-        for key in BOUNDS
-    }
-    return Row("descent", name, "float32", errors)
+            medians = {key: np.median([e[key] for e in found]) for key in BOUNDS}
+            limits = plan.bounds if words == BEST else {}
+            errors = {k: (float(m), limits.get(k, np.inf)) for k, m in medians.items()}
+            yield Row("descent", f"{title}, {words}", "float32", errors)
 
 
 def descend(problem: Problem, sigmas: jax.Array, *, rate: float | None) -> dict:

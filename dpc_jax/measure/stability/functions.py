@@ -5,7 +5,6 @@ Tolerances count the roundings of a function, in units of epsilon, or say why mo
 
 import functools
 
-import jax
 import jax.numpy as jnp
 import numpy as np
 
@@ -272,14 +271,6 @@ STUDENTS = (
     ("1e-30 and 1e30", np.multiply(SKEW, 1e-30), (1e30, 2e30, 0, 0), IN_WIDE),
     ("a student of 0", (0,) * 4, (1, 2, 3, 4)),
 )
-WINNERS = np.array([0, 2])
-LOGITS = np.array([[1.0, -2, 0.5], [0.25, 3, -1]])
-SELECTIONS = (
-    ("plain", LOGITS),
-    ("exact ties", LOGITS * 0),
-    ("logits 1e30", LOGITS * 1e30, IN_WIDE),
-    ("a sure winner", [[50.0, 0, 0], [0, 0, 80]]),
-)
 CLOUD = np.array([[0.1, -0.2, 0.3], [-0.3, 0.2, -0.1], [0.0, 0.4, 0.2]])
 OF_ONE = {"gradient_floor": 1.0}
 SAME = np.repeat(CLOUD[:1], 3, axis=0)
@@ -293,11 +284,6 @@ CLOUDS = (
 )
 
 
-def select(logits: jax.Array) -> jax.Array:
-    """`selection_loss` of two rows of three logits."""
-    return losses.selection_loss(logits, jnp.asarray(WINNERS))
-
-
 def _find_reprojection_loss(a, b):
     return np.sum((a - b) * (a - b))
 
@@ -306,12 +292,6 @@ def _find_student_loss(student, teacher):
     """1 - |cos| of unit quaternions; at cos = 0 the slope towards +teacher."""
     cosine = np.sum(oracles.normalize(student) * oracles.normalize(np.real(teacher)))
     return 1 - oracles.flip_sign(cosine)
-
-
-def _find_selection_loss(logits):
-    top = np.max(np.real(logits), axis=1, keepdims=True)
-    sums = np.log(np.sum(np.exp(logits - top), axis=1, keepdims=True))
-    return np.mean(top + sums - np.take_along_axis(logits, WINNERS[:, None], axis=1))
 
 
 def _find_repulsion(points):
@@ -327,7 +307,6 @@ def _find_containment(points):
     return np.sum(np.where(np.real(lengths) > 0.5, lengths - REAL(0.5), 0) ** 2)
 
 
-OF_UNIT = {"floor": 1.0, "gradient_floor": 1.0}
 LOSSES = [
     *make_cases(
         *("reprojection", losses.reprojection_loss, _find_reprojection_loss),
@@ -335,10 +314,8 @@ LOSSES = [
     ),
     *make_cases(  # the gradient cancels along q
         *("student", losses.student_loss, _find_student_loss, (8, 16), STUDENTS),
-        **OF_UNIT,
-    ),
-    *make_cases(
-        *("selection", select, _find_selection_loss, (16, 16), SELECTIONS), **OF_UNIT
+        floor=1.0,
+        gradient_floor=1.0,
     ),
     *make_cases(  # a softening of 1/50 magnifies what is near
         *("repulsion", losses.repulsion_energy, _find_repulsion, (64, 256), CLOUDS),

@@ -10,7 +10,7 @@ import numpy as np
 
 from dpc_jax import render
 from dpc_jax.learning import losses
-from dpc_jax.measure.stability.functions import SHAPE, select
+from dpc_jax.measure.stability.functions import SHAPE
 from dpc_jax.measure.stability.images import CELLS, render_cells, render_cloud
 from dpc_jax.measure.stability.runner import QUICKLY, Row
 from dpc_jax.render import VoxelGrid, quaternion
@@ -186,8 +186,6 @@ TARGETS = (
            -_UNIT, _UNIT),
     Target("reprojection_loss", losses.reprojection_loss, _IMAGES, 0),
     Target("student_loss", losses.student_loss, (_STEEP_TURN,) * 2, -4 * EPSILON, 1),
-    Target("selection_loss", select, (Range((2, 3), -1e37, 1e37, (-3, 3)),),
-           -4 * EPSILON),
     Target("repulsion_energy", losses.repulsion_energy, _ANY, 0),
     Target("containment_loss", losses.containment_loss, _ANY, 0),
 )
