@@ -17,15 +17,12 @@ from tiny_runs import (
 )
 
 from dpc_jax.learning import batches, point_sizes, signals
-from dpc_jax.learning.choice.coarse_choice import compute_image_losses, place_candidates
 from dpc_jax.learning.choice.hindsight import choose_poses
 from dpc_jax.learning.half_turns import compute_covariance
 from dpc_jax.learning.schedules import Stage
 from dpc_jax.learning.shapes import points, voxels
-from dpc_jax.learning.shapes.kind import View
 from dpc_jax.learning.shapes.points import Points, draw_order
 from dpc_jax.learning.shapes.voxels import Voxels
-from dpc_jax.measure.stability import oracles
 from dpc_jax.render import Camera, Projection, VoxelGrid, project, project_volume
 
 DISTANCE, SIDE, COUNT, VIEWS = 2.0, 8, 12, 4
@@ -430,45 +427,6 @@ def test_sizes_and_masses_are_those_of_the_paper(kind):
     scaled = point_sizes.scale_point_sizes(size, mass, 2.0)
     for ours, theirs in zip(scaled, finer, strict=True):
         np.testing.assert_allclose(ours, theirs, rtol=1e-5, atol=1e-5)
-
-
-def sum_depths(points, masses, covariances, quaternion):
-    """Optical depth of each pixel in float64, from covariances in the image."""
-    turn, total = rotation_matrix(np.asarray(quaternion)), 0
-    for point, mass, covariance in zip(points, masses, covariances, strict=True):
-        x, y, z = turn @ point
-        zoom = 1.875 / (z + DISTANCE)
-        axes = []
-        for place, axis in ((y, turn[1]), (x, turn[0])):
-            variance = covariance
-            if np.ndim(covariance):
-                variance = zoom**2 * axis @ covariance @ axis
-            center = (zoom * place + 0.5) * SIDE - 0.5
-            axes.append(oracles.weigh(np.arange(SIDE), center, np.sqrt(variance)))
-        total = total + mass * np.outer(*axes)
-    return total
-
-
-@pytest.mark.parametrize("kind", ["sigma", "covariance"])
-def test_an_image_ranks_by_the_widths_of_gaussians_along_rows_and_columns(kind):
-    shapes, _ = make_shapes(kind)
-    points, mass, size = (a[0] for a in (shapes.kept, shapes.mass, shapes.sigma))
-    candidates = as_float32(random_quaternions(5, 3))
-    target = as_float32(np.random.default_rng(1).uniform(size=(SIDE, SIDE)))
-
-    @jax.jit
-    def rank(candidates):
-        view = View(candidates, Camera(), SIDE)
-        places = place_candidates(points, view, choice_points=0, size=size)
-        return compute_image_losses(places, mass, target, sigma=size)
-
-    squares = np.asarray(size, float)
-    squares = squares**2 if kind == "sigma" else squares
-    for candidate, loss in zip(candidates, rank(candidates), strict=True):
-        depth = sum_depths(np.asarray(points), np.asarray(mass), squares, candidate)
-        expected = np.sum((1 - np.exp(-depth) - np.asarray(target, float)) ** 2)
-        # Rounding of float32 in a few points' places and weights.
-        assert float(loss) == pytest.approx(expected, rel=1e-4)
 
 
 def test_dropout_keeps_each_point_with_its_own_size_and_mass():

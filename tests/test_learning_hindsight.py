@@ -21,14 +21,14 @@ from dpc_jax import rotation_angle_deg
 from dpc_jax.data.viewpoints import look_at_rotation, matrix_to_quaternion
 from dpc_jax.learning import half_turns
 from dpc_jax.learning.choice import hindsight
-from dpc_jax.learning.choice.coarse_choice import compute_image_losses, place_candidates
 from dpc_jax.learning.objective import compute_loss
 from dpc_jax.learning.poses.labels import compare_labels
 from dpc_jax.learning.poses.source import compare_student
 from dpc_jax.learning.predictions import Poses
 from dpc_jax.learning.recipe import Averages
 from dpc_jax.learning.schedules import find_stage
-from dpc_jax.learning.shapes.kind import View
+from dpc_jax.learning.shapes.kind import Choice, View
+from dpc_jax.learning.shapes.points import Points
 from dpc_jax.learning.signals import downsample_images
 from dpc_jax.measure.stability import oracles
 from dpc_jax.render import Camera, VoxelGrid, project
@@ -53,13 +53,12 @@ def scene():
 
 def render_losses(points, mass, candidates, target, *, sigma=SIGMA):
     """Loss of each candidate, in the plainest way."""
-    images = jax.vmap(
-        lambda q: (
-            project(
-                points, q, sigma=sigma, scale=mass, grid=VoxelGrid(target.shape[0])
-            ).silhouette
-        )
-    )(candidates)
+    is_covariance = jnp.ndim(sigma) == 3
+    sizes = {"covariance" if is_covariance else "sigma": sigma, "scale": mass}
+    grid = VoxelGrid(target.shape[0])
+    images = jax.vmap(lambda q: project(points, q, grid=grid, **sizes).silhouette)(
+        candidates
+    )
     return jnp.sum((images - target[None]) ** 2, axis=(1, 2))
 
 
@@ -112,9 +111,10 @@ def test_an_image_ranks_by_the_optical_depth_of_splatted_points_in_sight(scene, 
 
     @jax.jit
     def rank(points, mass, candidates, target):
-        view, sigma = View(candidates, CAMERA, 8), jnp.array(SIGMA)
-        places = place_candidates(points, view, choice_points=count, size=sigma)
-        return compute_image_losses(places, mass, target, sigma=sigma)
+        scene = {"points": points, "mass": mass, "sigma": jnp.array(SIGMA)}
+        view, how = View(candidates, CAMERA, 8), Choice(count, 0, None)
+        places = Points.place_in_image(scene, view, how)
+        return Points.rank(scene, view, target, places, how)
 
     found = rank(**scene | {"points": points})
     points, mass = points[:count], float(scene["mass"]) * (34 / count)
@@ -132,6 +132,22 @@ def test_of_those_that_an_image_ranks_first_the_exact_best_wins(scene):
     assert first == choose(scene, choice_top=1, **image)
     losses = np.asarray(find_losses(**scene))
     assert losses[choose(scene, choice_top=3, **image)] <= losses[first]
+
+
+@pytest.mark.parametrize(
+    "own", [{"mass": (30,)}, {"sigma": (30,)}, {"mass": (30,), "sigma": (30, 3, 3)}]
+)
+def test_points_of_own_mass_or_size_are_not_ranked_but_compared_exactly(scene, own):
+    rng = np.random.default_rng(3)
+    sizes = {"sigma": jnp.array(SIGMA)}
+    for name, shape in own.items():
+        sizes[name] = jnp.array(rng.uniform(0.1, 1.5, shape))
+    if sizes["sigma"].ndim == 3:
+        sizes["sigma"] = jnp.eye(3)[None] * sizes["sigma"]
+    given = scene | sizes
+    found = hindsight.choose_candidate(**given, camera=CAMERA, choice_points=10)
+    losses = jax.jit(render_losses)(**given)
+    assert found == jnp.argmin(losses)
 
 
 def test_half_turns_are_unit_turns_by_180_degrees_about_the_principal_axes():

@@ -5,7 +5,6 @@ each point, and [N, 3, 3] a covariance of each. A batch has one axis more, but f
 shared one.
 """
 
-import functools
 from collections.abc import Mapping
 
 import chex
@@ -62,25 +61,3 @@ def scale_point_sizes(
 def has_own_sizes(size: jax.Array) -> bool:
     """Whether every point has a size of its own."""
     return jnp.ndim(size) > 0
-
-
-def find_image_sigmas(
-    size: jax.Array, rotation: jax.Array, zoom: jax.Array
-) -> tuple[jax.Array, jax.Array]:
-    """Standard deviations of points along rows and columns of the image, [N] each.
-
-    An approximation for ranking: of a covariance the direction within the image and the
-    local shear of perspective are left out.
-
-    Args:
-      size: [N] or [N, 3, 3]. rotation: [4]. zoom: [N], focal length over depth.
-    """
-    if jnp.ndim(size) == 1:
-        return size, size
-    right, down, _ = quaternion.to_matrix(rotation)
-    along = functools.partial(jnp.einsum, "i,nij,j->n", precision="highest")
-    rows, cols = (
-        zoom * jnp.sqrt(jnp.maximum(along(axis, size, axis), 0))
-        for axis in (down, right)
-    )
-    return rows, cols

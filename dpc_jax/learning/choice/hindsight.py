@@ -143,6 +143,7 @@ def choose_candidate(
     By default the exact minimum. With `choice_points`, candidates are first ranked by
     the optical depth that so many points have in each pixel, without a volume; then the
     best `choice_top` are compared exactly, or with 0 the first of the ranking stands.
+    Where points differ in mass or size, none is ranked and all are compared exactly.
 
     Args:
       points: [N, 3], object frame.

@@ -207,12 +207,10 @@ class Points(Shape):
     @staticmethod
     def place_in_image(
         scene: Scene, view: View, how: Choice
-    ) -> coarse_choice.ImagePoints | None:
-        if not how.points:
+    ) -> tuple[jax.Array, jax.Array] | None:
+        if not how.points or jnp.ndim(scene["mass"]) or jnp.ndim(scene["sigma"]):
             return None
-        return coarse_choice.place_candidates(
-            scene["points"], view, choice_points=how.points, size=scene["sigma"]
-        )
+        return coarse_choice.place_candidates(scene["points"][: how.points], view)
 
     @classmethod
     def rank(
@@ -220,13 +218,14 @@ class Points(Shape):
         scene: Scene,
         view: View,
         target: jax.Array,
-        places: coarse_choice.ImagePoints | None,
+        places: tuple[jax.Array, jax.Array] | None,
         how: Choice,
     ) -> jax.Array | None:
-        """By the optical depths of some points in the image."""
+        """By the optical depths of some points in the image, where all are alike."""
         if places is None:
             return None
-        mass, sigma = scene["mass"], scene["sigma"]
+        share = len(scene["points"]) / places[0].shape[1]
+        mass, sigma = scene["mass"] * share, scene["sigma"]
         return coarse_choice.compute_image_losses(places, mass, target, sigma=sigma)
 
 
