@@ -66,12 +66,7 @@ def predict_objects(
     alignment = read_alignment(workdir)
     run = load_checkpoint(config, workdir)
     is_known = knows_distance(config, make_spec(config, request.crop).crop)
-    predictor = make_predictor(
-        run.network,
-        config,
-        keeps_evidence=not config.pose.known,
-        knows_distance=is_known,
-    )
+    predictor = make_predictor(run.network, config, knows_distance=is_known)
     dataset = make_dataset(found)
     predictions = predict_all(predictor, run.state, dataset)
     if not (is_known or config.pose.known):
@@ -183,9 +178,8 @@ def _measure_directions(run: TrainedNetwork) -> np.ndarray:
     """How codes vary [k, width] in validation images, framed as those of training."""
     from dpc_jax.learning.inference.refinement import find_directions
 
-    predictor = make_predictor(run.network, run.config, keeps_evidence=True)
+    predictor = make_predictor(run.network, run.config)
     validated = predict_all(predictor, run.state, load_split(run, "val"))
-    assert validated.codes is not None
     return find_directions(validated.codes[..., : run.network.hidden])
 
 

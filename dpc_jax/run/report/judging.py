@@ -21,11 +21,7 @@ from dpc_jax.evaluation.surfaces import SAMPLES, draw_points
 from dpc_jax.evaluation.wrapping import wrap_points
 from dpc_jax.files import write_json
 from dpc_jax.learning.inference import evaluator
-from dpc_jax.learning.inference.predictor import (
-    arrange_views,
-    make_predictor,
-    predict_all,
-)
+from dpc_jax.learning.inference.predictor import make_predictor, predict_all
 from dpc_jax.run.learner import Learner
 from dpc_jax.run.prediction import check_ability
 from dpc_jax.run.report.shown_views import Judged
@@ -54,9 +50,7 @@ def judge_finally(
     sets = load_sets(config) | {FINAL: dataset}
     learner = Learner(config, sets)
     threshold = (read_metrics(workdir) or {}).get("surface_threshold")
-    predictions = learner.predict(
-        trained.state, FINAL, frame=trained.alignment, threshold=threshold
-    )
+    predictions = learner.predict(trained.state, FINAL, threshold=threshold)
     judged = judge(dataset, config, predictions, trained.alignment, threshold)
     count = predictions.points.shape[2]
     shapes = TrainingShapes.gather(sets | {"test": dataset}, count)
@@ -83,13 +77,9 @@ def _judge_surfaces(judged: Judged, sets) -> dict[str, Any]:
     if shapes is None:
         return {}
     predictions, dataset, alignment = judged[:3]
-    poses, surfaces = evaluator.arrange_truth(dataset)
-    models, _ = arrange_views(dataset)
+    poses, surfaces, visible = evaluator.arrange_truth(dataset)
     clouds = [draw_points(*wrap_points(cloud)) for cloud in predictions.points[:, 0]]
     wrapped = predictions._replace(points=np.stack(clouds)[:, None])
-    visible = None
-    if dataset.visible is not None:
-        visible = map(dataset.read_visible, models[:, 0].tolist())
     known = {"alignment": alignment, "visible": visible}
     metrics = scores.score(None, poses, wrapped.points, surfaces, **known).metrics
     metrics |= shapes.measure_references(wrapped, dataset, alignment)
@@ -168,7 +158,7 @@ def _take_photographs(fine: DataSet, disturb, spec: DataSpec) -> DataSet:
 
 def _measure(dataset: DataSet, trained: TrainedNetwork, predictor) -> dict[str, float]:
     alignment = trained.alignment
-    predictions = predict_all(predictor, trained.state, dataset, frame=alignment)
+    predictions = predict_all(predictor, trained.state, dataset)
     found = evaluator.score(
         predictions, dataset, alignment=alignment, has_visible=False
     )
