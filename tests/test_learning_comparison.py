@@ -16,12 +16,17 @@ from tiny_runs import (
     tiny_config,
 )
 
-from dpc_jax.learning import batches, point_sizes, signals
+from dpc_jax.learning import batches, signals
+from dpc_jax.learning.candidates import compute_covariance
 from dpc_jax.learning.choice.hindsight import choose_poses
-from dpc_jax.learning.half_turns import compute_covariance
 from dpc_jax.learning.schedules import Stage
 from dpc_jax.learning.shapes import points, voxels
-from dpc_jax.learning.shapes.points import Points, draw_order
+from dpc_jax.learning.shapes.points import (
+    Points,
+    draw_order,
+    measure_points,
+    scale_sizes,
+)
 from dpc_jax.learning.shapes.voxels import Voxels
 from dpc_jax.render import Camera, Projection, VoxelGrid, project, project_volume
 
@@ -63,7 +68,7 @@ def make_shapes(kind):
         shapes = Points(points, points, colors, mass, mass, jnp.array(0.6))
         return shapes, ("kept", "mass", "colors")
     shape = draw_head(kind)
-    size, mass = point_sizes.measure_points(shape, grid=SIDE)
+    size, mass = measure_points(shape, grid=SIDE)
     points = shape["points"]
     return Points(points, points, colors, mass, mass, size), ("kept", "mass", "sigma")
 
@@ -407,7 +412,7 @@ def test_known_cameras_come_from_the_data_where_they_are_not_learned(fields, ext
 @pytest.mark.parametrize("kind", ["sigma", "covariance"])
 def test_sizes_and_masses_are_those_of_the_paper(kind):
     shape = draw_head(kind)
-    size, mass = point_sizes.measure_points(shape, grid=SIDE)
+    size, mass = measure_points(shape, grid=SIDE)
     for place in np.ndindex(VIEWS, COUNT):
         widths = SIDE * np.broadcast_to(np.asarray(shape["sizes"][place], float), 3)
         covariance = np.diag(widths**2)
@@ -423,10 +428,16 @@ def test_sizes_and_masses_are_those_of_the_paper(kind):
         peak = float(mass[place]) / ((2 * np.pi) ** 1.5 * root)
         assert peak == pytest.approx(float(shape["scale"][place[0]]), rel=1e-5)
     # A finer grid has the same Gaussians in smaller voxels.
-    finer = point_sizes.measure_points(shape, grid=2 * SIDE)
-    scaled = point_sizes.scale_point_sizes(size, mass, 2.0)
+    finer = measure_points(shape, grid=2 * SIDE)
+    scaled = scale_sizes(size, mass, 2.0)
     for ours, theirs in zip(scaled, finer, strict=True):
         np.testing.assert_allclose(ours, theirs, rtol=1e-5, atol=1e-5)
+
+
+def test_sizes_on_a_finer_grid_keep_each_density():
+    sigma, mass = scale_sizes(jnp.array(1.2), jnp.array(0.05), 3)
+    assert sigma == pytest.approx(3 * 1.2)
+    assert mass / sigma**3 == pytest.approx(0.05 / 1.2**3)
 
 
 def test_dropout_keeps_each_point_with_its_own_size_and_mass():
@@ -438,7 +449,7 @@ def test_dropout_keeps_each_point_with_its_own_size_and_mass():
     shape = network.apply(params, features, method="predict_shape")
     read = Points.read(shape, jnp.array(0.4), render=config.render)
     whole, half = read.drop(keys, COUNT), read.drop(keys, COUNT // 2)
-    sizes, masses = point_sizes.measure_points(shape, grid=SIDE)
+    sizes, masses = measure_points(shape, grid=SIDE)
     for name, all_of_them in (("kept", shape["points"]), ("mass", masses),
                               ("sigma", sizes)):  # fmt: skip
         found = np.asarray(getattr(whole, name))

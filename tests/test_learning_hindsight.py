@@ -19,12 +19,15 @@ from tiny_runs import (
 
 from dpc_jax import rotation_angle_deg
 from dpc_jax.data.viewpoints import look_at_rotation, matrix_to_quaternion
-from dpc_jax.learning import half_turns
+from dpc_jax.learning.candidates import (
+    Poses,
+    compute_covariance,
+    find_half_turns,
+    turn_candidates,
+)
 from dpc_jax.learning.choice import hindsight
 from dpc_jax.learning.objective import compute_loss
-from dpc_jax.learning.poses.labels import compare_labels
-from dpc_jax.learning.poses.source import compare_student
-from dpc_jax.learning.predictions import Poses
+from dpc_jax.learning.poses.source import compare_labels, compare_student
 from dpc_jax.learning.recipe import Averages
 from dpc_jax.learning.schedules import find_stage
 from dpc_jax.learning.shapes.kind import Choice, View
@@ -113,8 +116,7 @@ def test_an_image_ranks_by_the_optical_depth_of_splatted_points_in_sight(scene, 
     def rank(points, mass, candidates, target):
         scene = {"points": points, "mass": mass, "sigma": jnp.array(SIGMA)}
         view, how = View(candidates, CAMERA, 8), Choice(count, 0, None)
-        places = Points.place_in_image(scene, view, how)
-        return Points.rank(scene, view, target, places, how)
+        return Points.rank(scene, view, target, how)
 
     found = rank(**scene | {"points": points})
     points, mass = points[:count], float(scene["mass"]) * (34 / count)
@@ -154,11 +156,11 @@ def test_half_turns_are_unit_turns_by_180_degrees_about_the_principal_axes():
     axes = rotation_matrix(random_quaternions(4))  # columns
     rng = np.random.default_rng(0)
     points = (rng.normal(size=(500, 3)) * [1, 2, 3]) @ axes.T + [5, 6, 7]
-    covariance = half_turns.compute_covariance(jnp.array(points, jnp.float32))
+    covariance = compute_covariance(jnp.array(points, jnp.float32))
     np.testing.assert_allclose(
         covariance, np.cov(points.T, bias=True), rtol=1e-4, atol=1e-4
     )
-    turns = np.asarray(half_turns.find_half_turns(covariance))
+    turns = np.asarray(find_half_turns(covariance))
     np.testing.assert_allclose(np.linalg.norm(turns, axis=-1), 1, atol=1e-6)
     np.testing.assert_array_equal(turns[0], [1, 0, 0, 0])
     _, principal = np.linalg.eigh(np.cov(points.T))
@@ -171,7 +173,7 @@ def test_half_turns_are_unit_turns_by_180_degrees_about_the_principal_axes():
 
 @pytest.mark.parametrize("axes", [(0, 0, 0), (1, 1, 1), (1, 0, 0)])
 def test_half_turns_of_a_cloud_without_distinct_axes_are_still_half_turns(axes):
-    turns = np.asarray(half_turns.find_half_turns(jnp.diag(jnp.array(axes, float))))
+    turns = np.asarray(find_half_turns(jnp.diag(jnp.array(axes, float))))
     assert np.all(turns[1:, 0] == 0)
     np.testing.assert_allclose(turns @ turns.T, np.eye(4), atol=1e-6)
 
@@ -276,12 +278,10 @@ def test_of_each_view_the_candidate_nearest_to_the_label_learns_and_is_selected(
 
 
 def test_half_turns_of_upright_viewpoints_stay_upright():
-    turns = half_turns.find_half_turns(jnp.eye(3), 2)
+    turns = find_half_turns(jnp.eye(3), 2)
     assert turns.tolist() == [[1, 0, 0, 0], [0, 0, 0, 1]]
     heads = [look_at_rotation(1.0, 0.5), look_at_rotation(2.0, -0.2)]
-    found = half_turns.turn_candidates(
-        jnp.array(matrix_to_quaternion(np.stack(heads))), turns
-    )
+    found = turn_candidates(jnp.array(matrix_to_quaternion(np.stack(heads))), turns)
     turned = [look_at_rotation(1.0 + np.pi, 0.5), look_at_rotation(2.0 + np.pi, -0.2)]
     expected = matrix_to_quaternion(np.stack(heads + turned))
     overlap = np.abs(np.sum(np.asarray(found) * expected, axis=1))

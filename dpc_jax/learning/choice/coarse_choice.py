@@ -15,31 +15,10 @@ from dpc_jax.render.kernels import sample_gaussian
 _OUTSIDE = -2.0  # a place in the image from which no pixel is reached
 
 
-def place_candidates(points: jax.Array, view: View) -> tuple[jax.Array, jax.Array]:
-    """Where points [N, 3] are in the image, seen from each candidate's pose.
-
-    Apart from `compute_image_losses`, so that a batch can project the points of all
-    views side by side and then take one view after the other: in a loop, XLA would
-    project each point again for every pixel of its row and column.
-
-    Returns:
-      (rows, columns), [C, N] continuous index each.
-    """
-
-    def place(candidate):
-        moved = to_camera_frame(points, candidate, view.translation)
-        grid = VoxelGrid(view.side)
-        found, is_inside = to_grid(moved, camera=view.camera, grid=grid)
-        rows, cols, _ = found.T
-        return [jnp.where(is_inside, axis, _OUTSIDE) for axis in (rows, cols)]
-
-    rows, cols = jax.vmap(place)(view.rotation)
-    return rows, cols
-
-
 def compute_image_losses(
-    places: tuple[jax.Array, jax.Array],
+    points: jax.Array,
     mass: jax.Array,
+    view: View,
     target: jax.Array,
     *,
     sigma: jax.Array,
@@ -52,16 +31,26 @@ def compute_image_losses(
     and columns are separate, the image is a product of two matrices.
 
     Args:
-      places: of `place_candidates`, in an image of side D.
+      points: [N, 3]. view: of the candidates, in an image of side D.
       mass: () of each point. sigma: (). Both in voxels of a grid of side D.
       target: [D, D] silhouette.
     """
+
+    def place(candidate):
+        moved = to_camera_frame(points, candidate, view.translation)
+        grid = VoxelGrid(view.side)
+        found, is_inside = to_grid(moved, camera=view.camera, grid=grid)
+        rows, cols, _ = found.T
+        return [jnp.where(is_inside, axis, _OUTSIDE) for axis in (rows, cols)]
+
     pixels = jnp.arange(target.shape[0], dtype=target.dtype)
 
     def weigh(centers):
         away = jnp.abs(centers[:, None, :] - pixels[None, :, None])
         return jnp.where(away < 1, 1 - away, 0)
 
+    # Else XLA projects each point again for every pixel of its row and column.
+    places = jax.lax.optimization_barrier(jax.vmap(place)(view.rotation))
     pairs = (((2,), (2,)), ((0,), (0,)))
     depth = jax.lax.dot_general(*map(weigh, places), pairs)
     distances = jnp.abs(pixels[:, None] - pixels[None])
