@@ -8,12 +8,12 @@ import tiny_runs
 from dpc_jax.evaluation.rotations import angle_deg
 from dpc_jax.learning.inference import refiner as refiner_module
 from dpc_jax.learning.inference.predictor import make_predictor, predict_all
-from dpc_jax.learning.inference.refinement import (
+from dpc_jax.learning.inference.refiner import (
     find_directions,
     join_views,
+    make_refiner,
     refine_objects,
 )
-from dpc_jax.learning.inference.refiner import make_refiner
 from dpc_jax.learning.inference.search import FINALISTS
 
 ALONE = [np.array([i]) for i in range(9)]

@@ -14,6 +14,8 @@ from dpc_jax.data import DataSet
 from dpc_jax.learning import devices, schedules
 from dpc_jax.learning.batches import list_extras
 from dpc_jax.learning.cameras import find_cameras
+from dpc_jax.learning.candidates import Poses, complete_poses, find_probabilities
+from dpc_jax.learning.framing import make_inputs
 from dpc_jax.learning.inference.explanation import (
     compare_poses,
     find_color_scores,
@@ -22,12 +24,6 @@ from dpc_jax.learning.inference.explanation import (
     weigh_by_colors,
 )
 from dpc_jax.learning.inference.search import add_viewpoints, find_likeliest
-from dpc_jax.learning.predictions import (
-    Poses,
-    complete_poses,
-    find_probabilities,
-    make_inputs,
-)
 from dpc_jax.learning.shapes import find_shape_class
 from dpc_jax.learning.step import TrainState, find_parts
 from dpc_jax.networks import ShapePoseNetwork

@@ -176,7 +176,7 @@ def _list_objects(
 
 def _measure_directions(run: TrainedNetwork) -> np.ndarray:
     """How codes vary [k, width] in validation images, framed as those of training."""
-    from dpc_jax.learning.inference.refinement import find_directions
+    from dpc_jax.learning.inference.refiner import find_directions  # where asked for
 
     predictor = make_predictor(run.network, run.config)
     validated = predict_all(predictor, run.state, load_split(run, "val"))
@@ -191,14 +191,13 @@ def _join_and_refine(
     directions: np.ndarray,
 ):
     """Put in what several views say together, and what refinement finds."""
-    from dpc_jax.learning.inference.refinement import join_views, refine_objects
-    from dpc_jax.learning.inference.refiner import make_refiner  # only where asked for
+    from dpc_jax.learning.inference import refiner  # only where asked for
 
     config, is_refined = run.config, len(directions) > 0
     if is_refined:  # in the resolution of the masks
         fine = {"render": {"fine_grid": masks.shape[-1]}}
         config = replace_fields(config, fine)
-    refiner = make_refiner(run.network, config)
+    refine = refiner.make_refiner(run.network, config)
     predictions = _hold_still(predictions, predicted)
     widths: dict[int, list[int]] = {}  # of about as many views, together
     for place, one in enumerate(predicted):
@@ -207,9 +206,9 @@ def _join_and_refine(
     for places in widths.values():
         begun = time.perf_counter()
         groups = [predicted[place].rows for place in places]
-        evidence = join_views(predictions, masks, groups)
-        refined = refine_objects(
-            refiner, run.state, evidence, directions, on_progress=_tell
+        evidence = refiner.join_views(predictions, masks, groups)
+        refined = refiner.refine_objects(
+            refine, run.state, evidence, directions, on_progress=_tell
         )
         seconds = (time.perf_counter() - begun) / len(places)
         for place, found in zip(places, refined, strict=True):
