@@ -51,8 +51,8 @@ def compute_image_losses(
 
     # Else XLA projects each point again for every pixel of its row and column.
     places = jax.lax.optimization_barrier(jax.vmap(place)(view.rotation))
-    pairs = (((2,), (2,)), ((0,), (0,)))
-    depth = jax.lax.dot_general(*map(weigh, places), pairs)
+    rows, cols = map(weigh, places)
+    depth = jax.lax.dot_general(rows, cols, (((2,), (2,)), ((0,), (0,))))
     distances = jnp.abs(pixels[:, None] - pixels[None])
     kernel = sample_gaussian(distances, jnp.asarray(sigma))
     for _ in range(2):
