@@ -17,7 +17,7 @@ from tiny_runs import make_network, make_state, tiny_config
 from dpc_jax.config import replace_fields, to_json
 from dpc_jax.evaluation.alignment import identity_alignment
 from dpc_jax.experiments import correspondences, interpolation, point_sizes
-from dpc_jax.learning.predictions import make_inputs
+from dpc_jax.learning.framing import make_inputs
 from dpc_jax.learning.training.checkpoints import Checkpoints
 from dpc_jax.reporting import paper_figures
 from dpc_jax.reporting.clouds import DEVIATIONS, HALF_WIDTH, draw_ellipsoids

@@ -29,7 +29,8 @@ def measure(cameras, count, **learned):
             / mesh.size
         )
 
-    shared = devices.share(compare, mesh, (devices.OBJECTS,), devices.OBJECTS)
+    parts = {"in_specs": (devices.OBJECTS,), "out_specs": devices.OBJECTS}
+    shared = jax.shard_map(compare, mesh=mesh, **parts, check_vma=False)
     return jax.value_and_grad(lambda cameras: jnp.sum(shared(cameras)))(cameras)
 
 

@@ -9,15 +9,15 @@ import pytest
 from tiny_runs import assert_same_bits, rotation_matrix, tiny_config
 
 from dpc_jax import rotation_angle_deg
-from dpc_jax.learning.choice import colors, common_frame
-from dpc_jax.learning.choice.common_frame import turn_back
-from dpc_jax.learning.choice.hindsight import Winners
-from dpc_jax.learning.devices import AXIS
-from dpc_jax.learning.half_turns import (
+from dpc_jax.learning.candidates import (
     average_covariance,
     find_half_turns,
     turn_candidates,
 )
+from dpc_jax.learning.choice import colors, common_frame
+from dpc_jax.learning.choice.common_frame import turn_back
+from dpc_jax.learning.choice.hindsight import Winners
+from dpc_jax.learning.devices import AXIS
 from dpc_jax.learning.inference.explanation import (
     find_color_scores,
     observe,

@@ -16,16 +16,18 @@ from tiny_runs import (
     tiny_config,
 )
 
-from dpc_jax.learning import batches, point_sizes, signals
-from dpc_jax.learning.choice.coarse_choice import compute_image_losses, place_candidates
+from dpc_jax.learning import batches, signals
+from dpc_jax.learning.candidates import compute_covariance
 from dpc_jax.learning.choice.hindsight import choose_poses
-from dpc_jax.learning.half_turns import compute_covariance
 from dpc_jax.learning.schedules import Stage
 from dpc_jax.learning.shapes import points, voxels
-from dpc_jax.learning.shapes.kind import View
-from dpc_jax.learning.shapes.points import Points, draw_order
+from dpc_jax.learning.shapes.points import (
+    Points,
+    draw_order,
+    measure_points,
+    scale_sizes,
+)
 from dpc_jax.learning.shapes.voxels import Voxels
-from dpc_jax.measure.stability import oracles
 from dpc_jax.render import Camera, Projection, VoxelGrid, project, project_volume
 
 DISTANCE, SIDE, COUNT, VIEWS = 2.0, 8, 12, 4
@@ -66,7 +68,7 @@ def make_shapes(kind):
         shapes = Points(points, points, colors, mass, mass, jnp.array(0.6))
         return shapes, ("kept", "mass", "colors")
     shape = draw_head(kind)
-    size, mass = point_sizes.measure_points(shape, grid=SIDE)
+    size, mass = measure_points(shape, grid=SIDE)
     points = shape["points"]
     return Points(points, points, colors, mass, mass, size), ("kept", "mass", "sigma")
 
@@ -410,7 +412,7 @@ def test_known_cameras_come_from_the_data_where_they_are_not_learned(fields, ext
 @pytest.mark.parametrize("kind", ["sigma", "covariance"])
 def test_sizes_and_masses_are_those_of_the_paper(kind):
     shape = draw_head(kind)
-    size, mass = point_sizes.measure_points(shape, grid=SIDE)
+    size, mass = measure_points(shape, grid=SIDE)
     for place in np.ndindex(VIEWS, COUNT):
         widths = SIDE * np.broadcast_to(np.asarray(shape["sizes"][place], float), 3)
         covariance = np.diag(widths**2)
@@ -426,49 +428,16 @@ def test_sizes_and_masses_are_those_of_the_paper(kind):
         peak = float(mass[place]) / ((2 * np.pi) ** 1.5 * root)
         assert peak == pytest.approx(float(shape["scale"][place[0]]), rel=1e-5)
     # A finer grid has the same Gaussians in smaller voxels.
-    finer = point_sizes.measure_points(shape, grid=2 * SIDE)
-    scaled = point_sizes.scale_point_sizes(size, mass, 2.0)
+    finer = measure_points(shape, grid=2 * SIDE)
+    scaled = scale_sizes(size, mass, 2.0)
     for ours, theirs in zip(scaled, finer, strict=True):
         np.testing.assert_allclose(ours, theirs, rtol=1e-5, atol=1e-5)
 
 
-def sum_depths(points, masses, covariances, quaternion):
-    """Optical depth of each pixel in float64, from covariances in the image."""
-    turn, total = rotation_matrix(np.asarray(quaternion)), 0
-    for point, mass, covariance in zip(points, masses, covariances, strict=True):
-        x, y, z = turn @ point
-        zoom = 1.875 / (z + DISTANCE)
-        axes = []
-        for place, axis in ((y, turn[1]), (x, turn[0])):
-            variance = covariance
-            if np.ndim(covariance):
-                variance = zoom**2 * axis @ covariance @ axis
-            center = (zoom * place + 0.5) * SIDE - 0.5
-            axes.append(oracles.weigh(np.arange(SIDE), center, np.sqrt(variance)))
-        total = total + mass * np.outer(*axes)
-    return total
-
-
-@pytest.mark.parametrize("kind", ["sigma", "covariance"])
-def test_an_image_ranks_by_the_widths_of_gaussians_along_rows_and_columns(kind):
-    shapes, _ = make_shapes(kind)
-    points, mass, size = (a[0] for a in (shapes.kept, shapes.mass, shapes.sigma))
-    candidates = as_float32(random_quaternions(5, 3))
-    target = as_float32(np.random.default_rng(1).uniform(size=(SIDE, SIDE)))
-
-    @jax.jit
-    def rank(candidates):
-        view = View(candidates, Camera(), SIDE)
-        places = place_candidates(points, view, choice_points=0, size=size)
-        return compute_image_losses(places, mass, target, sigma=size)
-
-    squares = np.asarray(size, float)
-    squares = squares**2 if kind == "sigma" else squares
-    for candidate, loss in zip(candidates, rank(candidates), strict=True):
-        depth = sum_depths(np.asarray(points), np.asarray(mass), squares, candidate)
-        expected = np.sum((1 - np.exp(-depth) - np.asarray(target, float)) ** 2)
-        # Rounding of float32 in a few points' places and weights.
-        assert float(loss) == pytest.approx(expected, rel=1e-4)
+def test_sizes_on_a_finer_grid_keep_each_density():
+    sigma, mass = scale_sizes(jnp.array(1.2), jnp.array(0.05), 3)
+    assert sigma == pytest.approx(3 * 1.2)
+    assert mass / sigma**3 == pytest.approx(0.05 / 1.2**3)
 
 
 def test_dropout_keeps_each_point_with_its_own_size_and_mass():
@@ -480,7 +449,7 @@ def test_dropout_keeps_each_point_with_its_own_size_and_mass():
     shape = network.apply(params, features, method="predict_shape")
     read = Points.read(shape, jnp.array(0.4), render=config.render)
     whole, half = read.drop(keys, COUNT), read.drop(keys, COUNT // 2)
-    sizes, masses = point_sizes.measure_points(shape, grid=SIDE)
+    sizes, masses = measure_points(shape, grid=SIDE)
     for name, all_of_them in (("kept", shape["points"]), ("mass", masses),
                               ("sigma", sizes)):  # fmt: skip
         found = np.asarray(getattr(whole, name))

@@ -17,8 +17,8 @@ from dpc_jax.data import DataSpec
 from dpc_jax.data.sets import framing as photographs
 from dpc_jax.data.sets.photographs import Photographs
 from dpc_jax.learning import framing, objective
+from dpc_jax.learning.framing import draw_framed, make_inputs
 from dpc_jax.learning.inference.predictor import make_predictor, predict_all
-from dpc_jax.learning.predictions import draw_framed, make_inputs
 from dpc_jax.learning.step import describe_state
 from dpc_jax.run.prediction.objects import place_photographs
 

@@ -19,16 +19,19 @@ from tiny_runs import (
 
 from dpc_jax import rotation_angle_deg
 from dpc_jax.data.viewpoints import look_at_rotation, matrix_to_quaternion
-from dpc_jax.learning import half_turns
+from dpc_jax.learning.candidates import (
+    Poses,
+    compute_covariance,
+    find_half_turns,
+    turn_candidates,
+)
 from dpc_jax.learning.choice import hindsight
-from dpc_jax.learning.choice.coarse_choice import compute_image_losses, place_candidates
 from dpc_jax.learning.objective import compute_loss
-from dpc_jax.learning.poses.labels import compare_labels
-from dpc_jax.learning.poses.source import compare_student
-from dpc_jax.learning.predictions import Poses
+from dpc_jax.learning.poses.source import compare_labels, compare_student
 from dpc_jax.learning.recipe import Averages
 from dpc_jax.learning.schedules import find_stage
-from dpc_jax.learning.shapes.kind import View
+from dpc_jax.learning.shapes.kind import Choice, View
+from dpc_jax.learning.shapes.points import Points
 from dpc_jax.learning.signals import downsample_images
 from dpc_jax.measure.stability import oracles
 from dpc_jax.render import Camera, VoxelGrid, project
@@ -53,13 +56,12 @@ def scene():
 
 def render_losses(points, mass, candidates, target, *, sigma=SIGMA):
     """Loss of each candidate, in the plainest way."""
-    images = jax.vmap(
-        lambda q: (
-            project(
-                points, q, sigma=sigma, scale=mass, grid=VoxelGrid(target.shape[0])
-            ).silhouette
-        )
-    )(candidates)
+    is_covariance = jnp.ndim(sigma) == 3
+    sizes = {"covariance" if is_covariance else "sigma": sigma, "scale": mass}
+    grid = VoxelGrid(target.shape[0])
+    images = jax.vmap(lambda q: project(points, q, grid=grid, **sizes).silhouette)(
+        candidates
+    )
     return jnp.sum((images - target[None]) ** 2, axis=(1, 2))
 
 
@@ -112,9 +114,9 @@ def test_an_image_ranks_by_the_optical_depth_of_splatted_points_in_sight(scene, 
 
     @jax.jit
     def rank(points, mass, candidates, target):
-        view, sigma = View(candidates, CAMERA, 8), jnp.array(SIGMA)
-        places = place_candidates(points, view, choice_points=count, size=sigma)
-        return compute_image_losses(places, mass, target, sigma=sigma)
+        scene = {"points": points, "mass": mass, "sigma": jnp.array(SIGMA)}
+        view, how = View(candidates, CAMERA, 8), Choice(count, 0, None)
+        return Points.rank(scene, view, target, how)
 
     found = rank(**scene | {"points": points})
     points, mass = points[:count], float(scene["mass"]) * (34 / count)
@@ -134,15 +136,31 @@ def test_of_those_that_an_image_ranks_first_the_exact_best_wins(scene):
     assert losses[choose(scene, choice_top=3, **image)] <= losses[first]
 
 
+@pytest.mark.parametrize(
+    "own", [{"mass": (30,)}, {"sigma": (30,)}, {"mass": (30,), "sigma": (30, 3, 3)}]
+)
+def test_points_of_own_mass_or_size_are_not_ranked_but_compared_exactly(scene, own):
+    rng = np.random.default_rng(3)
+    sizes = {"sigma": jnp.array(SIGMA)}
+    for name, shape in own.items():
+        sizes[name] = jnp.array(rng.uniform(0.1, 1.5, shape))
+    if sizes["sigma"].ndim == 3:
+        sizes["sigma"] = jnp.eye(3)[None] * sizes["sigma"]
+    given = scene | sizes
+    found = hindsight.choose_candidate(**given, camera=CAMERA, choice_points=10)
+    losses = jax.jit(render_losses)(**given)
+    assert found == jnp.argmin(losses)
+
+
 def test_half_turns_are_unit_turns_by_180_degrees_about_the_principal_axes():
     axes = rotation_matrix(random_quaternions(4))  # columns
     rng = np.random.default_rng(0)
     points = (rng.normal(size=(500, 3)) * [1, 2, 3]) @ axes.T + [5, 6, 7]
-    covariance = half_turns.compute_covariance(jnp.array(points, jnp.float32))
+    covariance = compute_covariance(jnp.array(points, jnp.float32))
     np.testing.assert_allclose(
         covariance, np.cov(points.T, bias=True), rtol=1e-4, atol=1e-4
     )
-    turns = np.asarray(half_turns.find_half_turns(covariance))
+    turns = np.asarray(find_half_turns(covariance))
     np.testing.assert_allclose(np.linalg.norm(turns, axis=-1), 1, atol=1e-6)
     np.testing.assert_array_equal(turns[0], [1, 0, 0, 0])
     _, principal = np.linalg.eigh(np.cov(points.T))
@@ -155,7 +173,7 @@ def test_half_turns_are_unit_turns_by_180_degrees_about_the_principal_axes():
 
 @pytest.mark.parametrize("axes", [(0, 0, 0), (1, 1, 1), (1, 0, 0)])
 def test_half_turns_of_a_cloud_without_distinct_axes_are_still_half_turns(axes):
-    turns = np.asarray(half_turns.find_half_turns(jnp.diag(jnp.array(axes, float))))
+    turns = np.asarray(find_half_turns(jnp.diag(jnp.array(axes, float))))
     assert np.all(turns[1:, 0] == 0)
     np.testing.assert_allclose(turns @ turns.T, np.eye(4), atol=1e-6)
 
@@ -260,12 +278,10 @@ def test_of_each_view_the_candidate_nearest_to_the_label_learns_and_is_selected(
 
 
 def test_half_turns_of_upright_viewpoints_stay_upright():
-    turns = half_turns.find_half_turns(jnp.eye(3), 2)
+    turns = find_half_turns(jnp.eye(3), 2)
     assert turns.tolist() == [[1, 0, 0, 0], [0, 0, 0, 1]]
     heads = [look_at_rotation(1.0, 0.5), look_at_rotation(2.0, -0.2)]
-    found = half_turns.turn_candidates(
-        jnp.array(matrix_to_quaternion(np.stack(heads))), turns
-    )
+    found = turn_candidates(jnp.array(matrix_to_quaternion(np.stack(heads))), turns)
     turned = [look_at_rotation(1.0 + np.pi, 0.5), look_at_rotation(2.0 + np.pi, -0.2)]
     expected = matrix_to_quaternion(np.stack(heads + turned))
     overlap = np.abs(np.sum(np.asarray(found) * expected, axis=1))

@@ -232,7 +232,7 @@ def predict(**pose):
     config = replace_fields(CONFIG, changes)
     network = make_network(config)
     dataset = make_dataset(models=3, views=2)
-    compiled = make_predictor(network, config, keeps_evidence=True)
+    compiled = make_predictor(network, config)
     return predict_all(compiled, make_state(network, config), dataset)
 
 

@@ -8,12 +8,12 @@ import tiny_runs
 from dpc_jax.evaluation.rotations import rotation_angle_deg
 from dpc_jax.learning.inference import refiner as refiner_module
 from dpc_jax.learning.inference.predictor import make_predictor, predict_all
-from dpc_jax.learning.inference.refinement import (
+from dpc_jax.learning.inference.refiner import (
     find_directions,
     join_views,
+    make_refiner,
     refine_objects,
 )
-from dpc_jax.learning.inference.refiner import make_refiner
 from dpc_jax.learning.inference.search import FINALISTS
 
 ALONE = [np.array([i]) for i in range(9)]
@@ -32,7 +32,7 @@ class Run:
         self.state = state._replace(step=last)
         self.dataset = tiny_runs.make_dataset()
         self.masks = self.dataset.masks.reshape(-1, *self.dataset.masks.shape[2:])
-        predictor = make_predictor(self.network, self.config, keeps_evidence=True)
+        predictor = make_predictor(self.network, self.config)
         self.plain = predict_all(predictor, self.state, self.dataset)
         codes = self.plain.codes[..., : self.network.hidden]
         self.directions = find_directions(codes)
@@ -128,7 +128,6 @@ def test_shapes_are_shown_and_refined_with_the_mass_that_training_renders_last()
     refined = gather(half.refine(ALONE), "silhouettes")[:, 0]
     for found in (half.list_plain("silhouettes"), refined):
         np.testing.assert_allclose(found, shown, rtol=1e-5, atol=1e-6)
-    np.testing.assert_allclose(half.plain.costs, whole.plain.costs, rtol=1e-5)
     assert np.max(shown) > 0.1  # there is something to see
 
 

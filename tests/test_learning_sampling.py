@@ -9,8 +9,8 @@ from tiny_runs import copy, make_batch, make_network, make_state, make_step, tin
 
 from dpc_jax.data.viewpoints import look_at_rotation, matrix_to_quaternion
 from dpc_jax.evaluation.rotations import view_angles
+from dpc_jax.learning.candidates import Poses
 from dpc_jax.learning.poses import sampled
-from dpc_jax.learning.predictions import Poses
 from dpc_jax.networks.viewpoints import ViewpointEnsemble, face_object
 
 DRAWN = {"source": "sampled", "head": "viewpoint", "student": "selects"}

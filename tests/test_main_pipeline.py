@@ -28,8 +28,8 @@ from dpc_jax.data.dataset import read_cache
 from dpc_jax.data.disturbances import DISTURBANCES
 from dpc_jax.data.viewpoints import look_at_rotation
 from dpc_jax.evaluation.metrics import get_metric
-from dpc_jax.learning.inference import refinement
-from dpc_jax.learning.inference.refinement import join_views
+from dpc_jax.learning.inference import refiner
+from dpc_jax.learning.inference.refiner import join_views
 from dpc_jax.run import pipeline
 from dpc_jax.run.report import judging
 from dpc_jax.run.viewing.network_shapes import NetworkShapes
@@ -380,7 +380,7 @@ def test_views_of_one_object_are_refined_together(
         assert evidence.masks.shape[-1] == masks.shape[-1]
         return evidence
 
-    monkeypatch.setattr(refinement, "join_views", record)
+    monkeypatch.setattr(refiner, "join_views", record)
     workdir, folder = finished[0], tmp_path / "thing"
     folder.mkdir()
     for name in ("a", "b"):

@@ -6,7 +6,6 @@ import numpy as np
 import pytest
 
 import dpc_jax
-from dpc_jax.render.projection import scale_sizes
 
 STILL = jnp.array([1.0, 0, 0, 0])
 RNG = np.random.default_rng(0)
@@ -69,12 +68,6 @@ def test_under_the_maximum_views_have_their_gradients_however_they_are_combined(
         jax.grad(lambda v: jnp.sum(combine(lambda r: look(v, r))(rotations)))
     )(volume)
     np.testing.assert_allclose(found, wanted, atol=2e-5)  # float32 sums of 64 pixels
-
-
-def test_sizes_on_a_finer_grid_keep_each_density():
-    sigma, mass = scale_sizes(1.2, 0.05, 3)
-    assert sigma == pytest.approx(3 * 1.2)
-    assert mass / sigma**3 == pytest.approx(0.05 / 1.2**3)
 
 
 def test_places_that_are_not_finite_count_as_outside():

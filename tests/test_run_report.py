@@ -45,11 +45,14 @@ def predict_truth(dataset, seed=0):
     silhouettes = dataset.masks.reshape(count, views, 8, 2, 8, 2).mean((3, 5)) / 255
     return Predictions(
         points=points,
-        colors=None,
         poses=poses,
         candidate_poses=poses,
         winners=np.zeros((count, views), int),
         silhouettes=silhouettes,
+        candidates=poses[:, :, None],
+        probabilities=np.ones((count, views, 1)),
+        losses=np.zeros((count, views, 1)),
+        codes=np.zeros((count, views, 1)),
     )
 
 

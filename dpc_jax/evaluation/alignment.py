@@ -134,12 +134,6 @@ def align_poses(alignment: Alignment, predicted_poses: ArrayLike) -> np.ndarray:
     return rotations.to_quaternion(rotations.to_rotation(predicted_poses) * back)
 
 
-def place_poses(alignment: Alignment, poses: ArrayLike) -> np.ndarray:
-    """Poses [..., 4], object to camera, as from the network's frame: q A."""
-    turn = rotations.to_rotation(alignment.rotation)
-    return rotations.to_quaternion(rotations.to_rotation(poses) * turn)
-
-
 def identity_alignment() -> Alignment:
     """No turn at all: for a network trained with known poses, in the object frame."""
     return Alignment(np.array([1.0, 0.0, 0.0, 0.0]), 1.0)

@@ -81,8 +81,6 @@ METRICS = {metric.name: metric for metric in (
            hint="within 30° of the true pose turned about the up axis"),
     Metric("wrong_mirror_share", "Wrong views that are mirror poses", "%", ".1f",
            hint="within 30° of the pose of nearly the same silhouette"),
-    Metric("truth_cheaper_share", "Wrong views whose true pose fits better", "%", ".1f",
-           hint="the predicted shape's silhouette; low: shape and pose agree"),
     Metric("best_candidate_pose_accuracy", "Pose accuracy, best candidate", "%", ".1f",
            True, "the winner of the ensemble"),
     Metric("best_candidate_pose_median_error_deg", "Median pose error, best candidate",

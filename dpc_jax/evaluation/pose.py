@@ -71,10 +71,9 @@ class Failures(NamedTuple):
       errors_deg: [n, V] of the whole pose, 0 to 180.
       azimuths_deg: [n, V] of the true poses, 0 to 360; 0 looks at the front.
       kinds: [n, V] index into `KINDS` of each wrong view; -1 of right ones.
-      metrics: shares from 0 to 1: `wrong_half_turn_share`, `wrong_mirror_share` and
-        `truth_cheaper_share` of the wrong views; `wrong_object_share` of the objects
-        that are wrong in all their views, of which there are at least two. Without
-        wrong views the first three are left out, and the third without costs.
+      metrics: shares from 0 to 1: `wrong_half_turn_share` and `wrong_mirror_share` of
+        the wrong views, left out without any; `wrong_object_share` of the objects that
+        are wrong in all their views, of which there are at least two.
     """
 
     errors_deg: np.ndarray
@@ -83,9 +82,7 @@ class Failures(NamedTuple):
     metrics: dict[str, float]
 
 
-def find_failures(
-    predicted: ArrayLike, true: ArrayLike, *, costs: ArrayLike | None = None
-) -> Failures:
+def find_failures(predicted: ArrayLike, true: ArrayLike) -> Failures:
     """Sort the views that are wrong by more than 30° by what they are within 30° of.
 
     A half turn about the up axis exchanges front and back. A silhouette under
@@ -97,8 +94,6 @@ def find_failures(
 
     Args:
       predicted, true: [n, V, 4] quaternions, object frame to camera.
-      costs: [n, V, 2] of each view's silhouette with the predicted shape, from the
-        predicted pose and from the true one.
     """
     found = rotations.to_rotation(predicted)
     errors = rotation_angle_deg(predicted, true)
@@ -119,9 +114,6 @@ def find_failures(
     if wrong.any():
         metrics["wrong_half_turn_share"] = float(np.mean(kinds[wrong] == 0))
         metrics["wrong_mirror_share"] = float(np.mean(kinds[wrong] == 2))
-    if wrong.any() and costs is not None:
-        chosen, right = np.moveaxis(np.asarray(costs), -1, 0)
-        metrics["truth_cheaper_share"] = float(np.mean((right < chosen)[wrong]))
     return Failures(errors, azimuths, kinds, metrics)
 
 

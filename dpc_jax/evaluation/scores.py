@@ -48,7 +48,6 @@ def score(
     best_candidate_poses: ArrayLike | None = None,
     chamfer_views: int | None = None,
     visible: Iterable[ArrayLike] | None = None,
-    costs: ArrayLike | None = None,
 ) -> Scores:
     """Score predictions on a test set (paper, section Evaluation metrics).
 
@@ -68,7 +67,6 @@ def score(
       chamfer_views: shapes of only the first this many views are compared; all if None.
       visible: [P', 3] points of each surface that can be seen from outside; None: not
         known.
-      costs: see `find_failures`.
 
     Raises:
       ValueError: quaternions that are zero or not finite; points that are not finite.
@@ -78,7 +76,7 @@ def score(
     metrics, errors, failures = {}, None, None
     if predicted_poses is not None:
         aligned = align_poses(alignment, predicted_poses)
-        failures = find_failures(aligned, true_poses, costs=costs)
+        failures = find_failures(aligned, true_poses)
         errors = failures.errors_deg
         summary = pose_summary(errors)
         metrics = {

@@ -19,7 +19,7 @@ from jax.sharding import Mesh, NamedSharding, PartitionSpec
 
 from dpc_jax.config import Config
 
-AXIS = "objects"
+AXIS = "objects"  # of the devices, inside `shard_map`
 WHOLE, OBJECTS, COLUMNS = (PartitionSpec(*p) for p in ((), (AXIS,), (None, AXIS)))
 # Layers with this many weights are shared. For smaller ones the exchange takes as long
 # as it saves.
@@ -99,23 +99,15 @@ def choose_parts(tree: Any, mesh: Mesh) -> Any:
     return jax.tree.map(choose, tree)
 
 
-def share(function: Callable, mesh: Mesh, in_specs: Any, out_specs: Any) -> Callable:
-    """The function that every device calls with its part of the arguments.
-
-    Inside, `AXIS` names the devices.
-    """
-    return jax.shard_map(
-        function, mesh=mesh, in_specs=in_specs, out_specs=out_specs, check_vma=False
-    )
-
-
 def share_padded(function: Callable, mesh: Mesh, in_specs: tuple) -> Callable:
-    """`share` of a function of a state and arrays of n objects; n need not divide.
+    """`shard_map` of a function of a state and arrays of n objects; n need not divide.
 
     All devices have as many objects: the last one is repeated, and cut off again.
     Arguments that are `WHOLE` stay as they are.
     """
-    shared = share(function, mesh, in_specs=in_specs, out_specs=OBJECTS)
+    shared = jax.shard_map(
+        function, mesh=mesh, in_specs=in_specs, out_specs=OBJECTS, check_vma=False
+    )
 
     def pad(state, *arguments):
         count = len(jax.tree.leaves(arguments[0])[0])
@@ -131,13 +123,13 @@ def share_padded(function: Callable, mesh: Mesh, in_specs: tuple) -> Callable:
 
 
 def take_own(array: jax.Array) -> jax.Array:
-    """Inside `share`: this device's share of the leading axis."""
+    """Inside `shard_map`: this device's share of the leading axis."""
     size = array.shape[0] // jax.lax.axis_size(AXIS)
     return jax.lax.dynamic_slice_in_dim(array, jax.lax.axis_index(AXIS) * size, size)
 
 
 def sharing_columns() -> contextlib.AbstractContextManager:
-    """Inside `share`: a context in which layers that have own columns compute all.
+    """Inside `shard_map`: a context in which layers that have own columns compute all.
 
     A layer is shared where its weights have fewer columns than it has features.
     """
@@ -159,7 +151,7 @@ def _share_columns(call, args, kwargs, context):
 
 
 def sum_whole(tree: Any, parts: Any) -> Any:
-    """Inside `share`: arrays of which every device has the whole, summed over them.
+    """Inside `shard_map`: arrays of which every device has the whole, summed over them.
 
     Joined to one array first: between processes each exchange costs about a
     millisecond, and XLA's own exchange of many arrays takes four times as long as that
@@ -179,7 +171,7 @@ def sum_whole(tree: Any, parts: Any) -> Any:
 def compute_norms(
     trees: dict[str, Any], parts: dict[str, Any], is_measured: jax.Array
 ) -> dict[str, jax.Array]:
-    """Inside `share`: roots of the sums of all squares of partitioned arrays; ().
+    """Inside `shard_map`: roots of the sums of all squares of partitioned arrays; ().
 
     Reading every gradient once more takes a tenth of a step. Where `is_measured` () is
     false, the results are -1, or NaN where a vector among the arrays (the gradient of a

@@ -17,6 +17,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from dpc_jax.config import FILL
+from dpc_jax.networks import ShapePoseNetwork
 
 Array = jax.Array | np.ndarray
 
@@ -121,6 +122,39 @@ def fit_frame(frame: Frame, silhouette: Array, wanted: Array) -> Frame:
     )
     fitted = jnp.clip(fitted, -_FARTHEST, _FARTHEST)
     return Frame(frame.centre - frame.side * fitted[:2], frame.side * (1 - fitted[2]))
+
+
+def make_inputs(
+    images: jax.Array,
+    masks: jax.Array,
+    *,
+    network: ShapePoseNetwork,
+    is_framed: jax.Array | bool = False,
+) -> jax.Array:
+    """What the network sees of images uint8 [..., S, S, 3] with masks [..., S, S].
+
+    Bytes 0 to 255 become numbers from -1 to 1. Views that `is_framed` [...] says are
+    cut out by the boxes of their masks first.
+    """
+    # What lies beyond an image is white, and nothing of the object.
+    away = jnp.concatenate([255 - images, masks[..., None]], axis=-1)
+    away = away.astype(jnp.float32) / 127.5
+    if is_framed is not False:
+        is_framed, box = jnp.asarray(is_framed), frame_by_box(masks)
+        centre = jnp.where(is_framed[..., None], box.centre, 0)
+        away = cut_out(away, Frame(centre, jnp.where(is_framed, box.side, 1)))
+    inputs = 1 - away[..., :3]
+    if not network.sees_mask:
+        return inputs
+    return jnp.concatenate([inputs, away[..., 3:] - 1], axis=-1)
+
+
+def draw_framed(keys: jax.Array) -> jax.Array:
+    """Which views [n] of a batch are framed, by their keys [n]: half.
+
+    The other half shows sizes as they are, which tell more of a shape.
+    """
+    return jax.vmap(lambda key: jax.random.bernoulli(jax.random.fold_in(key, 1)))(keys)
 
 
 def _list_places(size):

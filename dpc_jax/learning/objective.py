@@ -9,8 +9,8 @@ import jax.numpy as jnp
 from dpc_jax.data.arrays import CORNERS
 from dpc_jax.learning import schedules
 from dpc_jax.learning.cameras import anchor_cameras, find_cameras
+from dpc_jax.learning.framing import draw_framed, make_inputs
 from dpc_jax.learning.poses.source import ForwardPass, find_poses
-from dpc_jax.learning.predictions import draw_framed, make_inputs
 from dpc_jax.learning.recipe import Averages, Recipe
 from dpc_jax.learning.shapes import find_shape_class
 
@@ -29,7 +29,7 @@ def compute_loss(
 
     The shape that is predicted from a view is compared with the next view of the same
     object, the last one's with the first. That view's pose is predicted from itself. To
-    be called inside `devices.share`, with a device's share of a batch of the run.
+    be called inside `jax.shard_map`, with a device's share of a batch of the run.
 
     Args:
       params: of the network. step: ().

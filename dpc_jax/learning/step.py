@@ -122,11 +122,12 @@ def make_train_step(
     mesh = devices.make_mesh(config)
     parts = find_parts(network, config, mesh)
     update = _make_update(network, config, stage, parts, mesh.size)
-    shared = devices.share(
+    shared = jax.shard_map(
         update,
-        mesh,
+        mesh=mesh,
         in_specs=(parts, devices.OBJECTS),
         out_specs=(parts, devices.WHOLE),
+        check_vma=False,
     )
     return jax.jit(shared, donate_argnums=0)
 

@@ -284,19 +284,3 @@ def mass_of_peak(peak: chex.Numeric, sigma: chex.Numeric) -> jax.Array:
     sigma = jnp.asarray(sigma)
     # Factor by factor: σ³ alone may overflow where the mass does not.
     return jnp.asarray(peak) * (2 * jnp.pi) ** 1.5 * sigma * sigma * sigma
-
-
-def scale_sizes(
-    sigma: chex.Numeric, mass: chex.Numeric, ratio: chex.Numeric
-) -> tuple[chex.Numeric, chex.Numeric]:
-    """Convert sizes in voxels to a grid with `ratio` times as many cells per side.
-
-    A Gaussian as wide as before spans `ratio` times as many voxels, so sigma grows by
-    that. With its mass times ratio³ the density of every cell stays as it was (the
-    peak height c_i of Eq. 3), and the optical depth of a ray, the sum of its densities,
-    grows by `ratio`: a finer grid renders the same points as more opaque. Times ratio²
-    the optical depth would stay. Nothing keeps both, because Eq. 4 multiplies what each
-    cell lets through, however deep the cell is. With ratio³ poses are slightly more
-    accurate (docs/log.md).
-    """
-    return sigma * ratio, mass * ratio**3

@@ -29,21 +29,15 @@ class Learner:
         state: TrainState,
         split: str,
         *,
-        frame: Alignment | None = None,
         threshold: float | None = None,
     ) -> Predictions:
         """Predictions for a split.
 
         Args:
-          frame: of the network, for the comparison of true poses with predicted ones.
           threshold: of `find_points`, for points of voxel models.
         """
         extras = list_extras(self.config)
-        if self.config.pose.known:
-            frame = None  # the poses are an input
-        found = predict_all(
-            self.predictor, state, self.sets[split], extras=extras, frame=frame
-        )
+        found = predict_all(self.predictor, state, self.sets[split], extras=extras)
         if threshold is None:
             return found
         # It needs libraries of its own.
@@ -92,5 +86,5 @@ class Learner:
         """
         validated, threshold = self.find_points(self.predict(state, "val"))
         alignment = self.align(validated)
-        predictions = self.predict(state, "test", frame=alignment, threshold=threshold)
+        predictions = self.predict(state, "test", threshold=threshold)
         return predictions, alignment, threshold

@@ -12,7 +12,7 @@ import numpy as np
 from dpc_jax.config import Config, replace_fields
 from dpc_jax.data import DataSet
 from dpc_jax.evaluation.alignment import Alignment, align_points, identity_alignment
-from dpc_jax.learning.predictions import make_inputs
+from dpc_jax.learning.framing import make_inputs
 from dpc_jax.learning.step import TrainState, describe_state
 from dpc_jax.networks import ShapePoseNetwork
 from dpc_jax.run.hosts.writing import restore_last

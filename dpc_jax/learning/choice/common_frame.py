@@ -24,12 +24,12 @@ import jax
 import jax.numpy as jnp
 
 from dpc_jax.learning.cameras import Cameras
+from dpc_jax.learning.candidates import find_half_turns
 from dpc_jax.learning.choice import colors
 from dpc_jax.learning.choice.colors import BINS, CELLS, POINTS, find_cells
 from dpc_jax.learning.choice.decisions import Decisions, keep_turns, start_decisions
 from dpc_jax.learning.choice.hindsight import Winners
 from dpc_jax.learning.devices import AXIS
-from dpc_jax.learning.half_turns import find_half_turns
 from dpc_jax.render import Camera, quaternion
 
 OBJECTS = 256  # the last ones, whose points are remembered

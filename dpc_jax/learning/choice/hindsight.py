@@ -5,7 +5,7 @@ compared without gradient, and only the winner is rendered again with one.
 """
 
 from collections.abc import Mapping
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import jax
 import jax.numpy as jnp
@@ -72,17 +72,11 @@ def choose_poses(
         rule = render.ray_rule
         return place_view(candidates, per_view, render.grid, camera, ray_rule=rule)
 
-    def place(scene, candidates, per_view):
-        return kind.place_in_image(scene | shared, make_view(candidates, per_view), how)
-
     def compare(inputs):
-        scene, candidates, targets, places, per_view = inputs
+        scene, candidates, targets, per_view = inputs
         view = make_view(candidates, per_view)
-        return compare_in_scene(kind, scene | shared, view, targets, places, how)
+        return compare_in_scene(kind, scene | shared, view, targets, how)
 
-    # Outside of the loop over views: inside, XLA projects each point again for every
-    # pixel.
-    places = jax.vmap(place)(scene, still, cameras)
     targets = make_targets(
         batch,
         render.grid,
@@ -92,7 +86,7 @@ def choose_poses(
     )
     found = map_renders(
         compare,
-        (scene, still, targets, places, cameras),
+        (scene, still, targets, cameras),
         renders_at_once=at_once,
     )
     indices = jnp.argmin(found, axis=-1)
@@ -105,11 +99,10 @@ def compare_in_scene(
     scene: Scene,
     view: View,
     targets: Mapping[str, jax.Array],
-    places: Any,
     how: Choice,
 ) -> jax.Array:
     """Losses [C] of a view of checked arguments; infinite of what is ranked too low."""
-    coarse = kind.rank(scene, view, targets["silhouette"], places, how)
+    coarse = kind.rank(scene, view, targets["silhouette"], how)
     if coarse is not None and how.top == 0:
         return coarse
 
@@ -143,6 +136,7 @@ def choose_candidate(
     By default the exact minimum. With `choice_points`, candidates are first ranked by
     the optical depth that so many points have in each pixel, without a volume; then the
     best `choice_top` are compared exactly, or with 0 the first of the ranking stands.
+    Where points differ in mass or size, none is ranked and all are compared exactly.
 
     Args:
       points: [N, 3], object frame.
@@ -188,6 +182,5 @@ def choose_candidate(
     how = Choice(choice_points, choice_top, renders_at_once)
     scene = {"points": points, "mass": mass, "sigma": sigma}
     view = View(candidates, camera, side)
-    places = Points.place_in_image(scene, view, how)
     targets = {"silhouette": target}
-    return jnp.argmin(compare_in_scene(Points, scene, view, targets, places, how))
+    return jnp.argmin(compare_in_scene(Points, scene, view, targets, how))

@@ -1,5 +1,7 @@
 """Scores of predictions, as far as the truth is known."""
 
+from typing import Any
+
 import jax
 import numpy as np
 
@@ -11,24 +13,25 @@ from dpc_jax.learning.inference.predictor import Predictions, arrange_views
 from dpc_jax.learning.signals import find_background, make_targets
 
 
-def arrange_truth(
-    dataset: DataSet,
-) -> tuple[np.ndarray | None, list[np.ndarray] | None]:
+def arrange_truth(dataset: DataSet) -> tuple[Any, Any, Any]:
     """True poses [n, V, 4] and surfaces of n models in the layout of predictions.
 
-    Either is None where it is not given; surfaces are a list of [P, 3].
+    Surfaces are a list of [P, 3]. What can be seen of them, [P', 3] each, is read one
+    by one and once. Each of the three is None where it is not given.
     """
     models, views = arrange_views(dataset)
+    first = models[:, 0].tolist()
     poses, surfaces = dataset.quaternions, dataset.surfaces
     return (
         None if poses is None else np.asarray(poses[models, views]),
-        None if surfaces is None else [surfaces[int(m)] for m in models[:, 0]],
+        None if surfaces is None else [surfaces[model] for model in first],
+        None if dataset.visible is None else map(dataset.read_visible, first),
     )
 
 
 def align(predictions: Predictions, dataset: DataSet) -> alignments.Alignment:
     """Canonical alignment from validation models; without their poses there is none."""
-    poses, surfaces = arrange_truth(dataset)
+    poses, surfaces, _ = arrange_truth(dataset)
     if poses is None:
         return alignments.identity_alignment()
     return alignments.align(predictions.poses, poses, predictions.points, surfaces)
@@ -58,11 +61,7 @@ def score(
       has_visible: whether visible surfaces are compared, too; few points of one, as
         validation shapes have, make its distances longer.
     """
-    poses, surfaces = arrange_truth(dataset)
-    models, _ = arrange_views(dataset)
-    visible = None
-    if dataset.visible is not None and has_visible:
-        visible = map(dataset.read_visible, models[:, 0].tolist())
+    poses, surfaces, visible = arrange_truth(dataset)
     result = scores.score(
         None if poses_given else predictions.poses,
         poses,
@@ -71,38 +70,35 @@ def score(
         alignment=alignment,
         best_candidate_poses=None if poses_given else predictions.candidate_poses,
         chamfer_views=chamfer_views,
-        visible=visible,
-        costs=predictions.costs,
+        visible=visible if has_visible else None,
     )
     clouds = np.asarray(predictions.points)[:, :chamfer_views]
     stray = [count_stray_points(cloud) for row in clouds for cloud in row]
-    errors = [
-        images.mean_squared_difference(predicted, mask)
-        for _, predicted, mask in _list_silhouettes(predictions, dataset)
-    ]
+    overlaps, errors = np.moveaxis(compare_silhouettes(predictions, dataset), -1, 0)
     found = {
-        "silhouette_iou": float(measure_overlaps(predictions, dataset).mean()),
-        "projection_error": float(np.mean(errors)),
+        "silhouette_iou": float(overlaps.mean()),
+        "projection_error": float(errors.mean()),
         "stray_points": float(np.mean(stray)),
     }
     return result._replace(metrics=result.metrics | found)
 
 
-def measure_overlaps(predictions: Predictions, dataset: DataSet) -> np.ndarray:
-    """Intersection over union [n, V] of soft silhouettes with the masks, 0 to 1."""
-    overlaps = np.empty(predictions.silhouettes.shape[:2])
-    for index, predicted, mask in _list_silhouettes(predictions, dataset):
-        target = images.resize(mask, len(predicted))
-        overlaps[index] = images.measure_overlap(predicted, target)
-    return overlaps
+def compare_silhouettes(predictions: Predictions, dataset: DataSet) -> np.ndarray:
+    """Intersection over union, 0 to 1, and mean squared difference [n, V, 2].
 
-
-def _list_silhouettes(predictions, dataset):
-    """Of each view its index, the predicted silhouette, the mask from 0 to 1."""
+    Of soft silhouettes and the masks.
+    """
     models, views = arrange_views(dataset)
+    found = np.empty((*models.shape, 2))
     for index in np.ndindex(models.shape):
         mask = np.asarray(dataset.masks[models[index], views[index]]) / 255.0
-        yield index, predictions.silhouettes[index], mask
+        predicted = predictions.silhouettes[index]
+        target = images.resize(mask, len(predicted))
+        found[index] = (
+            images.measure_overlap(predicted, target),
+            images.mean_squared_difference(predicted, mask),
+        )
+    return found
 
 
 def read_view(

@@ -106,9 +106,7 @@ def rank_poses(
     how = Choice(RANKING_POINTS, 0, config.render.renders_at_once)
     view = _place_view(poses, own, target.shape[0], config)
     kind = find_shape_class(config.network.shape)
-    # Else XLA projects each point again for every pixel.
-    places = jax.lax.optimization_barrier(kind.place_in_image(scene, view, how))
-    return compare_in_scene(kind, scene, view, {"silhouette": target}, places, how)
+    return compare_in_scene(kind, scene, view, {"silhouette": target}, how)
 
 
 def find_color_scores(frame: Any) -> jax.Array | None:

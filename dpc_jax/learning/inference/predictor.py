@@ -11,26 +11,19 @@ from jax.sharding import NamedSharding
 
 from dpc_jax.config import Config
 from dpc_jax.data import DataSet
-from dpc_jax.evaluation.alignment import Alignment, place_poses
 from dpc_jax.learning import devices, schedules
 from dpc_jax.learning.batches import list_extras
 from dpc_jax.learning.cameras import find_cameras
+from dpc_jax.learning.candidates import Poses, complete_poses, find_probabilities
+from dpc_jax.learning.framing import make_inputs
 from dpc_jax.learning.inference.explanation import (
-    Observation,
     compare_poses,
     find_color_scores,
     observe,
     render_finest,
     weigh_by_colors,
-    weigh_finest,
 )
 from dpc_jax.learning.inference.search import add_viewpoints, find_likeliest
-from dpc_jax.learning.predictions import (
-    Poses,
-    complete_poses,
-    find_probabilities,
-    make_inputs,
-)
 from dpc_jax.learning.shapes import find_shape_class
 from dpc_jax.learning.step import TrainState, find_parts
 from dpc_jax.networks import ShapePoseNetwork
@@ -60,13 +53,11 @@ class Predictions(NamedTuple):
         not learned.
       sizes: [M, V, N] sigmas in voxels of the base grid, or [M, V, N, 3, 3] covariances
         in voxels², where they are learned; else None.
-      costs: [M, V, 2] of the silhouette in the finest grid as seen from the predicted
-        pose and from the true one; without a frame (`predict_all`) of no meaning.
       cells: [M, V, D, D, D], the occupancies that voxel models predict; else None.
       candidates: [M, V, C, 4], turned ones included; probabilities: [M, V, C] of them
         by student (alike where it does not select) and colours; losses: [M, V, C] of
-        them in the base grid; codes: [M, V, F] that shapes are decoded from, tints at
-        the end. Only where asked for.
+        them in the base grid. Confidence and refinement need them.
+      codes: [M, V, F] that shapes are decoded from, tints at the end.
     """
 
     points: np.ndarray
@@ -74,6 +65,10 @@ class Predictions(NamedTuple):
     candidate_poses: np.ndarray
     winners: np.ndarray
     silhouettes: np.ndarray
+    candidates: np.ndarray
+    probabilities: np.ndarray
+    losses: np.ndarray
+    codes: np.ndarray
     colors: np.ndarray | None = None
     depths: np.ndarray | None = None
     color_images: np.ndarray | None = None
@@ -81,49 +76,17 @@ class Predictions(NamedTuple):
     focal_lengths: np.ndarray | None = None
     sizes: np.ndarray | None = None
     cells: np.ndarray | None = None
-    costs: np.ndarray | None = None
-    candidates: np.ndarray | None = None
-    probabilities: np.ndarray | None = None
-    losses: np.ndarray | None = None
-    codes: np.ndarray | None = None
-
-
-class _Entry(NamedTuple):
-    """One of n views, with what a network predicts for it.
-
-    Attributes:
-      scene, shown: of the shape, its points of the size that training has now, and of
-        that which the schedule ends with: so images compare over training.
-      poses: predicted, or given ones; chances: [C] of the candidates.
-      true: [4], the pose of the data. image, mask: [S, S, 3] and [S, S] bytes.
-      base, fine: what the view shows, in the base grid and in the finest.
-    """
-
-    scene: Any
-    shown: Any
-    poses: Poses
-    chances: Any
-    true: Any
-    image: Any
-    mask: Any
-    base: Observation
-    fine: Observation
 
 
 def make_predictor(
-    network: ShapePoseNetwork,
-    config: Config,
-    *,
-    keeps_evidence: bool = False,
-    knows_distance: bool = True,
+    network: ShapePoseNetwork, config: Config, *, knows_distance: bool = True
 ) -> Callable:
     """The compiled function (state, images, masks, quaternions, extras) -> dict.
 
     It runs over the devices. For n views: images uint8 [n, S, S, 3], masks uint8
     [n, S, S], quaternions [n, 4], extras: arrays [n, ...] of `list_extras`, those there
     are. The dictionary has the fields of `Predictions`, with one leading axis [n];
-    those that a run does not have are left out. Candidates, their probabilities, losses
-    and codes, which confidence and refinement need, are in it where they are kept.
+    those that a run does not have are left out.
 
     Of photographs, whose distance is not known, the network sees what the box of the
     mask frames, if it has learned from such views, and silhouettes are compared each in
@@ -145,14 +108,11 @@ def make_predictor(
             entries,
             renders_at_once=config.render.renders_at_once,
         )
-        evidence = {name: found.pop(name) for name in ("losses", "probabilities")}
-        if keeps_evidence:
-            found |= evidence | {"candidates": entries.poses.candidates}
-            found["codes"] = output["codes"]
-        cameras = ("translations", "focal_lengths")
-        found |= {name: output[name] for name in cameras if name in output}
+        found["candidates"] = entries["poses"].candidates
+        kept = ("codes", "translations", "focal_lengths")
+        found |= {name: output[name] for name in kept if name in output}
         return found | find_shape_class(config.network.shape).find_evaluated(
-            output, entries.scene
+            output, entries["scene"]
         )
 
     mesh = devices.make_mesh(config)
@@ -173,7 +133,12 @@ def _predict_all(network, images):
 
 
 def _list_entries(output, state, arrays, quaternions, config, knows_distance):
-    """(`_Entry` of all n, (scenes that they share, of scene and shown))."""
+    """What `_explain` reads of n views by name, and what scenes share.
+
+    The points of a scene have the size that training has now, those of a shown one that
+    which the schedule ends with: so images compare over training. What a view shows is
+    in the base grid, and in the finest.
+    """
     render, steps = config.render, config.train.steps
     kind = find_shape_class(config.network.shape)
     (scene, shared), (shown, shown_shared) = (
@@ -197,46 +162,41 @@ def _list_entries(output, state, arrays, quaternions, config, knows_distance):
         )
         for side in (config.render.grid, config.render.finest)
     )
-    entries = _Entry(
-        scene,
-        kind.weigh_as_trained(shown, render),
-        poses,
-        find_probabilities(poses),
-        quaternions,
-        arrays["images"],
-        arrays["masks"],
-        base,
-        fine,
-    )
+    entries = {
+        "scene": scene,
+        "shown": kind.weigh_as_trained(shown, render),
+        "poses": poses,  # predicted, or given ones
+        "chances": find_probabilities(poses),
+        "image": arrays["images"],
+        "mask": arrays["masks"],
+        "base": base,
+        "fine": fine,
+    }
     return entries, (shared, shown_shared)
 
 
 def _explain(entry, *, shared, scores, config):
-    """What one view is taken for: images, poses, winner, and what poses cost."""
-    scene, shown = entry.scene | shared[0], entry.shown | shared[1]
-    candidates, taken = entry.poses.candidates, entry.poses.student
-    heads, losses, chances = len(candidates), jnp.zeros(1), entry.chances
+    """What one view is taken for: images, poses, winner, and what candidates lose."""
+    scene, shown = entry["scene"] | shared[0], entry["shown"] | shared[1]
+    (candidates, taken, _), base, fine = entry["poses"], entry["base"], entry["fine"]
+    heads, losses, chances = len(candidates), jnp.zeros(1), entry["chances"]
     if config.pose.weighs_fit and config.pose.elevations:
-        known = candidates, chances, entry.base
+        known = candidates, chances, base
         candidates, chances = add_viewpoints(scene, *known, config=config)
     if len(candidates) > 1:
-        losses = compare_poses(scene, candidates, entry.base, config=config)
+        losses = compare_poses(scene, candidates, base, config=config)
     if scores is not None:
-        view = candidates, entry.image, entry.mask, entry.base
+        view = candidates, entry["image"], entry["mask"], base
         chances = weigh_by_colors(chances, scene, *view, scores=scores, config=config)
     if config.pose.weighs_fit:
-        known = candidates, losses, chances, entry.fine
+        known = candidates, losses, chances, fine
         (taken,) = find_likeliest(scene, *known, count=1, config=config)
     losses, chances = losses[:heads], chances[:heads]
     chances /= jnp.maximum(jnp.sum(chances), jnp.finfo(chances.dtype).tiny)
     winner = jnp.argmin(losses)
     found = {"winners": winner, "candidate_poses": candidates[winner], "poses": taken}
     found |= {"losses": losses, "probabilities": chances}
-    found |= _render_images(shown, taken, entry.fine.camera, config)
-    if not config.pose.known:
-        finer, both = weigh_finest(scene, config), jnp.stack([taken, entry.true])
-        found["costs"] = compare_poses(finer, both, entry.fine, config=config)
-    return found
+    return found | _render_images(shown, taken, fine.camera, config)
 
 
 def _render_images(shown, pose, camera, config):
@@ -296,7 +256,6 @@ def predict_all(
     dataset: DataSet,
     *,
     extras: Sequence[str] = (),
-    frame: Alignment | None = None,
 ) -> Predictions:
     """Run the predictor over a data set, `VIEWS_AT_ONCE` at a time, the last padded.
 
@@ -305,8 +264,6 @@ def predict_all(
 
     Args:
       extras: arrays as of `list_extras`; those that the set has are read.
-      frame: of the network, in which true poses are compared with predicted ones; None
-        where it is that of the data.
     """
     (models, views), at_once = arrange_views(dataset), VIEWS_AT_ONCE
     total = models.size
@@ -318,8 +275,6 @@ def predict_all(
             poses = np.tile(np.array([1, 0, 0, 0], np.float32), (at_once, 1))
         else:
             poses = np.asarray(dataset.quaternions[chosen])
-            if frame is not None:
-                poses = place_poses(frame, poses).astype(np.float32)
         images, masks = dataset.images[chosen], dataset.masks[chosen]
         given = {name: getattr(dataset, name) for name in extras}
         more = {n: np.asarray(a[chosen]) for n, a in given.items() if a is not None}

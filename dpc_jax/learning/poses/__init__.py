@@ -1,1 +1,1 @@
-"""Where the poses of a batch come from: a file for each way of learning them."""
+"""Where the poses of a batch come from, and how they are learned."""

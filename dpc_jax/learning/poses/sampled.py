@@ -20,11 +20,11 @@ import jax
 import jax.numpy as jnp
 import optax
 
+from dpc_jax.learning.candidates import Poses
 from dpc_jax.learning.choice.hindsight import Winners
 from dpc_jax.learning.devices import AXIS
 from dpc_jax.learning.losses import Term
 from dpc_jax.learning.poses.source import ForwardPass, ViewPoses, predict_candidates
-from dpc_jax.learning.predictions import Poses
 from dpc_jax.learning.recipe import Recipe
 from dpc_jax.networks import ShapePoseNetwork
 from dpc_jax.networks.viewpoints import face_object

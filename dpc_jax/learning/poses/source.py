@@ -1,8 +1,7 @@
 """Which pose a view is rendered from, and the losses it is learned by.
 
-A source of poses is a function `find_poses` of these arguments, in a file of its own:
-`labels`, `unknown` (the ensemble in hindsight) and `sampled`. Poses that are given need
-none.
+They are given, or those of an ensemble whose winner images choose in hindsight (Eq. 2),
+labels in the data (Table 2), or chance (`sampled`).
 """
 
 import functools
@@ -15,13 +14,19 @@ import optax
 
 from dpc_jax.learning import losses
 from dpc_jax.learning.cameras import Cameras
-from dpc_jax.learning.choice.hindsight import Winners
+from dpc_jax.learning.candidates import (
+    Poses,
+    average_covariance,
+    complete_poses,
+    compute_covariance,
+)
+from dpc_jax.learning.choice.hindsight import Winners, choose_poses
 from dpc_jax.learning.devices import AXIS
-from dpc_jax.learning.half_turns import average_covariance, compute_covariance
 from dpc_jax.learning.losses import Term
-from dpc_jax.learning.predictions import Poses, complete_poses
 from dpc_jax.learning.recipe import Averages, Recipe
+from dpc_jax.learning.schedules import is_framing
 from dpc_jax.learning.shapes import Shape
+from dpc_jax.render import quaternion
 
 
 class ForwardPass(NamedTuple):
@@ -62,18 +67,49 @@ class ViewPoses(NamedTuple):
 
 
 def find_poses(forward: ForwardPass, *, recipe: Recipe) -> ViewPoses:
-    """Poses of a batch; only their source is loaded."""
+    """Poses of a batch, and what they are learned by."""
     source = recipe.pose.source
     if source == "given":  # § Estimating shape with known pose
         poses = forward.batch["quaternions"]
         return ViewPoses(poses, {}, {}, lambda _: (forward.averages, {}))
+    if source == "sampled":
+        from dpc_jax.learning.poses import sampled  # where it is asked for
+
+        return sampled.find_poses(forward, recipe=recipe)
+    averages, poses = predict_candidates(forward, recipe=recipe)
+    batch, metrics, terms = forward.batch, {}, {}
     if source == "labels":
-        from dpc_jax.learning.poses import labels as chosen
-    elif source == "sampled":
-        from dpc_jax.learning.poses import sampled as chosen
+        winners, terms = compare_labels(poses, batch["quaternions"], recipe=recipe)
     else:
-        from dpc_jax.learning.poses import unknown as chosen
-    return chosen.find_poses(forward, recipe=recipe)
+        seen = batch, forward.cameras
+        winners = choose_poses(forward.shapes, poses.candidates, *seen, recipe=recipe)
+        if averages.frame is not None:
+            winners, frame, metrics["turned_back"] = _turn_back(
+                winners, forward, averages, recipe
+            )
+            averages = averages._replace(frame=frame)
+    metrics["winners"] = winners.indices
+    terms |= compare_student(poses, winners, recipe=recipe)
+    return ViewPoses(winners.poses, terms, metrics, lambda _: (averages, {}))
+
+
+def _turn_back(winners, forward, averages, recipe):
+    """(winners, the frame after the batch, share turned) of `common_frame`."""
+    from dpc_jax.learning.choice import common_frame  # where it is asked for
+
+    steps, by_colors = recipe.train.steps, averages.frame.colors is not None
+    return common_frame.turn_back(
+        winners,
+        forward.shapes.find_cloud(),
+        forward.batch,
+        averages.covariance,
+        averages.frame,
+        camera=recipe.camera,
+        cameras=forward.cameras,
+        views=forward.views,
+        heads=recipe.pose.learned_heads,
+        is_due=is_framing(forward.step, steps=steps, by_colors=by_colors),
+    )
 
 
 def predict_candidates(
@@ -91,6 +127,23 @@ def predict_candidates(
     )
     assert isinstance(output, dict)
     return averages, complete_poses(output, averages.covariance, pose=pose)
+
+
+def compare_labels(
+    poses: Poses, labels: jax.Array, *, recipe: Recipe
+) -> tuple[Winners, dict[str, Term]]:
+    """The candidates nearest to the labels [n, 4] by their angle, and their loss.
+
+    It is the hindsight choice with labels in place of images.
+    """
+    # An angle's gradient has one length: large errors shrink as fast as small ones.
+    to_label = jax.vmap(quaternion.angle_between, in_axes=(0, None))
+    angles = jax.vmap(to_label)(poses.candidates, labels)
+    nearest = jnp.argmin(angles, axis=1)
+    loss = jnp.mean(jnp.take_along_axis(angles, nearest[:, None], axis=1))
+    winners = Winners(labels, nearest)
+    weight = recipe.pose.student_weight * recipe.render.grid**2
+    return winners, {"labels": Term(loss, weight)}
 
 
 def compare_student(

@@ -278,17 +278,13 @@ class Shape:
 
         return map_renders(compute_loss, view.rotation, renders_at_once=renders_at_once)
 
-    @staticmethod
-    def place_in_image(scene: Scene, view: View, how: Choice) -> Any:
-        """What a batch finds of all views at once, for `rank`; None for nothing."""
-
     @classmethod
     def rank(
-        cls, scene: Scene, view: View, target: jax.Array, places: Any, how: Choice
+        cls, scene: Scene, view: View, target: jax.Array, how: Choice
     ) -> jax.Array | None:
         """First, coarse losses [C] of the view's candidates by a silhouette [D, D].
 
-        None where the exact ones come first; places are those of `place_in_image`.
+        None where the exact ones come first.
         """
         raise NotImplementedError
 

@@ -1,7 +1,9 @@
 """Point clouds: the shapes of the paper, with the size and the mass of their points.
 
-A scene has points [N, 3], their mass and sigma (`point_sizes`), and where they are
-compared colors [N, 3].
+A scene has points [N, 3], their mass and sigma, and where they are compared colors
+[N, 3]. The rank of an array of sizes says what they are: () is a sigma that all points
+share, [N] a sigma of each point, and [N, 3, 3] a covariance of each. A batch has one
+axis more, but for the shared one.
 """
 
 import dataclasses
@@ -9,11 +11,12 @@ import functools
 from collections.abc import Mapping
 from typing import Any, Self
 
+import chex
 import jax
 import jax.numpy as jnp
 
 from dpc_jax.config import Render, Train
-from dpc_jax.learning import losses, point_sizes
+from dpc_jax.learning import losses
 from dpc_jax.learning.cameras import Cameras, place_camera
 from dpc_jax.learning.choice import coarse_choice
 from dpc_jax.learning.losses import Term
@@ -21,7 +24,7 @@ from dpc_jax.learning.recipe import Recipe
 from dpc_jax.learning.schedules import PULL_FROM
 from dpc_jax.learning.shapes.kind import Choice, Scene, Shape, View
 from dpc_jax.learning.signals import downsample_images
-from dpc_jax.render import Projection, project
+from dpc_jax.render import Projection, mass_of_peak, project, quaternion
 from dpc_jax.render.kernels import sample_gaussian
 
 REPELLED = 160  # points that repel each other in a step, for the time that pairs take
@@ -56,7 +59,7 @@ class Points(Shape):
         """All points that a network predicts; learned sizes take sigma's place."""
         points, scale = output["points"], output["scale"]
         if "sizes" in output:
-            size, mass = point_sizes.measure_points(output, grid=render.grid)
+            size, mass = measure_points(output, grid=render.grid)
         else:
             size = sigma
             mass = compute_mass(scale, sigma, scale_unit=render.scale_unit)
@@ -75,7 +78,7 @@ class Points(Shape):
             (self.points, self.colors),
         )
         size, mass = self.sigma, self.mass
-        if point_sizes.has_own_sizes(size):
+        if size.ndim:
             take = jax.vmap(lambda array, rows: array[rows])
             size, mass = take(size, subset), take(mass, subset)
         return dataclasses.replace(
@@ -84,9 +87,9 @@ class Points(Shape):
 
     def list_scenes(self, ratio: float = 1.0) -> tuple[dict[str, Any], dict[str, Any]]:
         colors = {} if self.colors is None else {"colors": self.colors}
-        sigma, mass = point_sizes.scale_point_sizes(self.sigma, self.mass, ratio)
+        sigma, mass = scale_sizes(self.sigma, self.mass, ratio)
         scene = {"points": self.kept, "mass": mass} | colors
-        if point_sizes.has_own_sizes(sigma):
+        if sigma.ndim:
             return scene | {"sigma": sigma}, {}
         return scene, {"sigma": sigma}
 
@@ -164,9 +167,7 @@ class Points(Shape):
 
     @staticmethod
     def resize(scene: Scene, ratio: float) -> Scene:
-        sigma, mass = point_sizes.scale_point_sizes(
-            scene["sigma"], scene["mass"], ratio
-        )
+        sigma, mass = scale_sizes(scene["sigma"], scene["mass"], ratio)
         return {**scene, "sigma": sigma, "mass": mass}
 
     @staticmethod
@@ -204,30 +205,17 @@ class Points(Shape):
             **view.arguments,
         )
 
-    @staticmethod
-    def place_in_image(
-        scene: Scene, view: View, how: Choice
-    ) -> coarse_choice.ImagePoints | None:
-        if not how.points:
-            return None
-        return coarse_choice.place_candidates(
-            scene["points"], view, choice_points=how.points, size=scene["sigma"]
-        )
-
     @classmethod
     def rank(
-        cls,
-        scene: Scene,
-        view: View,
-        target: jax.Array,
-        places: coarse_choice.ImagePoints | None,
-        how: Choice,
+        cls, scene: Scene, view: View, target: jax.Array, how: Choice
     ) -> jax.Array | None:
-        """By the optical depths of some points in the image."""
-        if places is None:
+        """By the optical depths of some points in the image, where all are alike."""
+        points, mass, sigma = scene["points"], scene["mass"], scene["sigma"]
+        if not how.points or jnp.ndim(mass) or jnp.ndim(sigma):
             return None
-        mass, sigma = scene["mass"], scene["sigma"]
-        return coarse_choice.compute_image_losses(places, mass, target, sigma=sigma)
+        some = points[: how.points]
+        mass = mass * (len(points) / len(some))
+        return coarse_choice.compute_image_losses(some, mass, view, target, sigma=sigma)
 
 
 def draw_order(key: jax.Array, *, count: int) -> jax.Array:
@@ -257,3 +245,55 @@ def compute_mass(scale: jax.Array, sigma: jax.Array, *, scale_unit: str) -> jax.
     if scale_unit == "mass":
         return scale
     return scale / sample_gaussian(jnp.zeros(()), sigma) ** 3
+
+
+def measure_points(
+    shape: Mapping[str, jax.Array], *, grid: int
+) -> tuple[jax.Array, jax.Array]:
+    """(size, mass) of points of learned sizes, of B objects in a grid.
+
+    The learned scale is here the peak height c_i of Eq. 3, whatever
+    `render.scale_unit`: between the bounds of a size the masses that show at all span
+    six powers of ten. A mass is c·(2π)^{3/2}·√|Σ|, so that a Gaussian that is thinner
+    than a voxel fills its share of the cells and no more.
+
+    A covariance is R·diag(s²)·Rᵀ of the widths and the turn of a point. A quaternion of
+    any length makes seven numbers for six: overcomplete, as the paper says, but without
+    the discontinuities of angles, and positive definite for all values.
+
+    Args:
+      shape: of `ShapeHead`. grid: side of the volume, in voxels.
+
+    Returns:
+      ([B, N] sigmas in voxels, or [B, N, 3, 3] covariances in voxels²; [B, N] voxels).
+    """
+
+    def make_covariance(widths, turn):
+        # Entry by entry: as a matrix product of 3 × 3 it took longer on a CPU.
+        scaled = quaternion.to_matrix(turn) * widths[None]
+        return jnp.sum(scaled[:, None] * scaled[None], axis=-1)
+
+    widths = grid * shape["sizes"]
+    product = jnp.prod(jnp.broadcast_to(widths, (*widths.shape[:-1], 3)), axis=-1)
+    mass = mass_of_peak(shape["scale"][:, None], jnp.ones(())) * product
+    if "turns" not in shape:
+        return widths[..., 0], mass
+    return jax.vmap(jax.vmap(make_covariance))(widths, shape["turns"]), mass
+
+
+def scale_sizes(
+    size: jax.Array, mass: jax.Array, ratio: chex.Numeric
+) -> tuple[jax.Array, jax.Array]:
+    """Convert sizes of any rank to a grid with `ratio` times as many cells per side.
+
+    A Gaussian as wide as before spans `ratio` times as many voxels, so sigma grows by
+    that. With its mass times ratio³ the density of every cell stays as it was (the
+    peak height c_i of Eq. 3), and the optical depth of a ray, the sum of its densities,
+    grows by `ratio`: a finer grid renders the same points as more opaque. Times ratio²
+    the optical depth would stay. Nothing keeps both, because Eq. 4 multiplies what each
+    cell lets through, however deep the cell is. With ratio³ poses are slightly more
+    accurate (docs/log.md).
+    """
+    scaled, mass = jnp.asarray(size * ratio), jnp.asarray(mass * ratio**3)
+    is_covariance = scaled.ndim > 2
+    return (scaled * ratio if is_covariance else scaled), mass

@@ -81,7 +81,7 @@ class Voxels(Shape):
 
     @classmethod
     def rank(
-        cls, scene: Scene, view: View, target: jax.Array, places: None, how: Choice
+        cls, scene: Scene, view: View, target: jax.Array, how: Choice
     ) -> jax.Array | None:
         """Volumes stay as they are, and are seen in a coarser grid."""
         if not how.points or target.shape[0] < 2 * COARSE_SIDE:

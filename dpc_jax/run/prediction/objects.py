@@ -66,12 +66,7 @@ def predict_objects(
     alignment = read_alignment(workdir)
     run = load_checkpoint(config, workdir)
     is_known = knows_distance(config, make_spec(config, request.crop).crop)
-    predictor = make_predictor(
-        run.network,
-        config,
-        keeps_evidence=not config.pose.known,
-        knows_distance=is_known,
-    )
+    predictor = make_predictor(run.network, config, knows_distance=is_known)
     dataset = make_dataset(found)
     predictions = predict_all(predictor, run.state, dataset)
     if not (is_known or config.pose.known):
@@ -181,11 +176,10 @@ def _list_objects(
 
 def _measure_directions(run: TrainedNetwork) -> np.ndarray:
     """How codes vary [k, width] in validation images, framed as those of training."""
-    from dpc_jax.learning.inference.refinement import find_directions
+    from dpc_jax.learning.inference.refiner import find_directions  # where asked for
 
-    predictor = make_predictor(run.network, run.config, keeps_evidence=True)
+    predictor = make_predictor(run.network, run.config)
     validated = predict_all(predictor, run.state, load_split(run, "val"))
-    assert validated.codes is not None
     return find_directions(validated.codes[..., : run.network.hidden])
 
 
@@ -197,14 +191,13 @@ def _join_and_refine(
     directions: np.ndarray,
 ):
     """Put in what several views say together, and what refinement finds."""
-    from dpc_jax.learning.inference.refinement import join_views, refine_objects
-    from dpc_jax.learning.inference.refiner import make_refiner  # only where asked for
+    from dpc_jax.learning.inference import refiner  # only where asked for
 
     config, is_refined = run.config, len(directions) > 0
     if is_refined:  # in the resolution of the masks
         fine = {"render": {"fine_grid": masks.shape[-1]}}
         config = replace_fields(config, fine)
-    refiner = make_refiner(run.network, config)
+    refine = refiner.make_refiner(run.network, config)
     predictions = _hold_still(predictions, predicted)
     widths: dict[int, list[int]] = {}  # of about as many views, together
     for place, one in enumerate(predicted):
@@ -213,9 +206,9 @@ def _join_and_refine(
     for places in widths.values():
         begun = time.perf_counter()
         groups = [predicted[place].rows for place in places]
-        evidence = join_views(predictions, masks, groups)
-        refined = refine_objects(
-            refiner, run.state, evidence, directions, on_progress=_tell
+        evidence = refiner.join_views(predictions, masks, groups)
+        refined = refiner.refine_objects(
+            refine, run.state, evidence, directions, on_progress=_tell
         )
         seconds = (time.perf_counter() - begun) / len(places)
         for place, found in zip(places, refined, strict=True):

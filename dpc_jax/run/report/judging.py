@@ -50,9 +50,7 @@ def judge_finally(
     sets = load_sets(config) | {FINAL: dataset}
     learner = Learner(config, sets)
     threshold = (read_metrics(workdir) or {}).get("surface_threshold")
-    predictions = learner.predict(
-        trained.state, FINAL, frame=trained.alignment, threshold=threshold
-    )
+    predictions = learner.predict(trained.state, FINAL, threshold=threshold)
     judged = judge(dataset, config, predictions, trained.alignment, threshold)
     count = predictions.points.shape[2]
     shapes = TrainingShapes.gather(sets | {"test": dataset}, count)
@@ -79,11 +77,11 @@ def _judge_surfaces(judged: Judged, sets) -> dict[str, Any]:
     if shapes is None:
         return {}
     predictions, dataset, alignment = judged[:3]
+    poses, surfaces, visible = evaluator.arrange_truth(dataset)
     clouds = [draw_points(*wrap_points(cloud)) for cloud in predictions.points[:, 0]]
     wrapped = predictions._replace(points=np.stack(clouds)[:, None])
-    found = evaluator.score(wrapped, dataset, alignment=alignment, poses_given=True)
-    distances = "chamfer", "precision", "coverage"
-    metrics = {n: v for n, v in found.metrics.items() if n.endswith(distances)}
+    known = {"alignment": alignment, "visible": visible}
+    metrics = scores.score(None, poses, wrapped.points, surfaces, **known).metrics
     metrics |= shapes.measure_references(wrapped, dataset, alignment)
     return metrics | measure_gains(metrics)
 
@@ -160,7 +158,7 @@ def _take_photographs(fine: DataSet, disturb, spec: DataSpec) -> DataSet:
 
 def _measure(dataset: DataSet, trained: TrainedNetwork, predictor) -> dict[str, float]:
     alignment = trained.alignment
-    predictions = predict_all(predictor, trained.state, dataset, frame=alignment)
+    predictions = predict_all(predictor, trained.state, dataset)
     found = evaluator.score(
         predictions, dataset, alignment=alignment, has_visible=False
     )

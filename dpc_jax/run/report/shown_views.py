@@ -7,7 +7,7 @@ import numpy as np
 from dpc_jax.data import DataSet
 from dpc_jax.evaluation.alignment import Alignment, align_points
 from dpc_jax.evaluation.scores import Scores
-from dpc_jax.learning.inference.evaluator import measure_overlaps, read_view
+from dpc_jax.learning.inference.evaluator import compare_silhouettes, read_view
 from dpc_jax.learning.inference.predictor import Predictions, arrange_views
 from dpc_jax.reporting.examples import Example
 from dpc_jax.run.report.training_shapes import TrainingShapes
@@ -67,7 +67,7 @@ def choose_examples(
     """
     models, _ = arrange_views(judged.dataset)
     scores = judged.scores
-    overlaps = measure_overlaps(judged.predictions, judged.dataset)
+    overlaps = compare_silhouettes(judged.predictions, judged.dataset)[..., 0]
     badness, measure = -overlaps, "overlap of silhouettes"
     if scores.pose_errors_deg is not None:
         badness, measure = scores.pose_errors_deg, "pose error"

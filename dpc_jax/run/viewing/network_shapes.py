@@ -55,10 +55,7 @@ class NetworkShapes:
         if not self._predictors:
             for is_known in (True, False):
                 self._predictors[is_known] = make_predictor(
-                    self._run.network,
-                    self.config,
-                    keeps_evidence=not self.config.pose.known,
-                    knows_distance=is_known,
+                    self._run.network, self.config, knows_distance=is_known
                 )
 
     def show_validation(self) -> list[ShownObject]:
@@ -101,8 +98,7 @@ class NetworkShapes:
 
     def _show_view(self, found: Predictions, place, image) -> ShownView:
         alignment, candidates = self._run.alignment, None
-        if found.candidates is not None:
-            assert found.probabilities is not None and found.losses is not None
+        if not self.config.pose.known:
             candidates = Candidates(
                 align_poses(alignment, found.candidates[place]),
                 found.probabilities[place],

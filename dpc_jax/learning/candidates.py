@@ -1,14 +1,59 @@
-"""Rotations by 180° as further pose candidates. Not in the paper.
+"""Pose candidates: those of the heads, and with rotations by 180°.
 
-Most of the remaining errors of an ensemble exchange front and back. So each head's pose
-is also tried after turning the object by 180° about each principal axis of the
-predicted points; the gradient reaches the head through the fixed turn.
+The rotations are not in the paper. Most of the remaining errors of an ensemble exchange
+front and back. So each head's pose is also tried after turning the object by 180° about
+each principal axis of the predicted points; the gradient reaches the head through the
+fixed turn.
 """
+
+from typing import NamedTuple
 
 import jax
 import jax.numpy as jnp
 
+from dpc_jax.config import Pose
 from dpc_jax.render import quaternion
+
+
+class Poses(NamedTuple):
+    """Predicted poses of n views.
+
+    Attributes:
+      candidates: [n, C, 4] quaternions; candidate i belongs to head i % K.
+      student: [n, 4], or None where there is none.
+      logits: [n, C] of a student that selects a candidate, or None.
+    """
+
+    candidates: jax.Array
+    student: jax.Array | None
+    logits: jax.Array | None
+
+
+def complete_poses(
+    output: dict[str, jax.Array], covariance: jax.Array, *, pose: Pose
+) -> Poses:
+    """Add the turned candidates, and the pose of a student that selects.
+
+    Args:
+      output: of the network: candidates [n, K, 4], and student [n, 4] or logits [n, C].
+      covariance: [3, 3] of predicted points, whose axes the half turns are about.
+    """
+    candidates, student = output["candidates"], output.get("student")
+    logits = output.get("logits")
+    if pose.half_turns:
+        turns = find_half_turns(covariance, pose.turns)
+        candidates = jax.vmap(turn_candidates, (0, None))(candidates, turns)
+    if logits is not None:
+        chosen = jnp.argmax(logits, axis=-1)
+        student = jnp.take_along_axis(candidates, chosen[:, None, None], axis=1)[:, 0]
+    return Poses(candidates, student, logits)
+
+
+def find_probabilities(poses: Poses) -> jax.Array:
+    """Probabilities [n, C] of the candidates, alike where no student selects."""
+    if poses.logits is None:
+        return jnp.full(poses.candidates.shape[:2], 1 / poses.candidates.shape[1])
+    return jax.nn.softmax(poses.logits)
 
 
 def average_covariance(
