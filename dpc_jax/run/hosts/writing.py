@@ -18,7 +18,6 @@ from jax.sharding import SingleDeviceSharding
 
 from dpc_jax.learning.step import TrainState
 from dpc_jax.learning.training.checkpoints import Checkpoints, Restored
-from dpc_jax.learning.training.records import MetricLog
 from dpc_jax.run.hosts.agreement import Job
 
 
@@ -101,23 +100,6 @@ class SharedCheckpoints(Checkpoints):
         )
         state = jax.tree.map(spread_array, read, like)
         return Restored(state, seconds, tuple(damaged))
-
-
-class SilentLog(MetricLog):
-    """The log of the other processes: nothing is written, nothing read."""
-
-    def __init__(self):
-        super().__init__("")
-
-    def write(self, record: dict):
-        """Do nothing."""
-
-    def read(self) -> list[dict]:
-        """No records."""
-        return []
-
-    def cut_after(self, step: int):
-        """Do nothing."""
 
 
 def describe_here(like: TrainState) -> TrainState:
