@@ -54,7 +54,7 @@ def judge_finally(
     sets = load_sets(config) | {FINAL: dataset}
     learner = Learner(config, sets)
     threshold = (read_metrics(workdir) or {}).get("surface_threshold")
-    predictions = learner.predict(
+    predictions, _ = learner.predict(
         trained.state, FINAL, frame=trained.alignment, threshold=threshold
     )
     judged = judge(dataset, config, predictions, trained.alignment, threshold)
