@@ -15,13 +15,12 @@ from dpc_jax.learning.devices import make_mesh
 from dpc_jax.learning.inference.predictor import compile_predictor
 from dpc_jax.learning.step import TrainState, describe_state, init_state
 from dpc_jax.learning.training import loop
-from dpc_jax.learning.training.checkpoints import Checkpoints, Restored
+from dpc_jax.learning.training.agreement import Job
+from dpc_jax.learning.training.checkpoints import Checkpoints, Restored, restore_last
 from dpc_jax.learning.training.records import MetricLog, TensorBoardLog
 from dpc_jax.networks import ShapePoseNetwork
 from dpc_jax.run.hosts import Place
-from dpc_jax.run.hosts.agreement import Job
 from dpc_jax.run.hosts.joining import joining
-from dpc_jax.run.hosts.writing import open_checkpoints, restore_last
 from dpc_jax.run.learner import Learner
 from dpc_jax.run.process import catch_signals, prepare_process
 from dpc_jax.run.report.summary import report_run
@@ -111,7 +110,7 @@ def _open_log(folder: Path, config, job: Job) -> MetricLog:
 
 def _train(learner: Learner, workdir: Path, log: MetricLog, job: Job) -> loop.Outcome:
     """Train to the last step, or until SIGTERM or Ctrl-C asks to save and stop."""
-    checkpoints = open_checkpoints(workdir / "checkpoints", job)
+    checkpoints = Checkpoints(workdir / "checkpoints", job)
     views = {split: int(data.counts.sum()) for split, data in learner.sets.items()}
     start = _restore_run(learner, checkpoints, log, job)
     with contextlib.closing(checkpoints), catch_signals() as stop:

@@ -20,8 +20,8 @@ from collections.abc import Iterator
 import jax
 
 from dpc_jax.files import reading
+from dpc_jax.learning.training.agreement import Job
 from dpc_jax.run.hosts import Place
-from dpc_jax.run.hosts.agreement import Job
 
 # A process that says nothing for so long is lost: stopped, or its host is gone. Where
 # virtual machines stand still at times, DPC_JAX_HEARTBEAT_SECONDS sets a longer one.
