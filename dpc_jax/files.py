@@ -88,21 +88,13 @@ def read_json(path: str | os.PathLike) -> Any:
     """JSON of at most `MOST_TEXT` bytes.
 
     Raises:
-      ValueError: as `parse_json`. OSError: as `open_regular`.
-    """
-    return parse_json(read_text(path))
-
-
-def parse_json(text: str) -> Any:
-    """`json.loads` of a text that may be a stranger's.
-
-    Raises:
       ValueError: with a phrase, where it is not JSON or nested too deep to be read.
+      OSError: as `open_regular`.
     """
     try:
-        return json.loads(text)
+        return json.loads(read_text(path))
     except RecursionError:
-        raise json.JSONDecodeError("it is nested too deep", "", 0) from None
+        raise ValueError("it is nested too deep") from None
 
 
 def open_own(path: str | os.PathLike, flags: int) -> int:

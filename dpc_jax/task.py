@@ -63,15 +63,6 @@ def reading_names(known: Iterable[str]) -> Callable[[str], tuple[str, ...]]:
     return read
 
 
-def hush_jaxlib():
-    """Keep jaxlib's own log off the terminal; to be called before jax is loaded.
-
-    Version 0.10 prints a page of CPU features for each program that it reads from the
-    cache. Errors of XLA come as exceptions, so that none is lost.
-    """
-    os.environ.setdefault("TF_CPP_MIN_LOG_LEVEL", "3")
-
-
 class Task(NamedTuple):
     """What a command does when its flags are read."""
 
@@ -92,7 +83,9 @@ def run_command(read: Callable[[], Task]) -> int:
     wrong flags, for which `read` raises ValueError, and 130 after Ctrl-C. With
     DPC_JAX_TRACEBACK in the environment errors of the task keep their traceback.
     """
-    hush_jaxlib()
+    # Before jax is loaded: jaxlib 0.10 prints a page of CPU features for each program
+    # that it reads from the cache. Errors of XLA come as exceptions: none is lost.
+    os.environ.setdefault("TF_CPP_MIN_LOG_LEVEL", "3")
     task: Task | None = None
     errors: tuple[type[Exception], ...] = (ValueError, OSError)
     try:

@@ -10,8 +10,8 @@ from pathlib import Path
 import pytest
 
 from dpc_jax.config import Config, name_differences, replace_fields
+from dpc_jax.learning.training.agreement import list_versions
 from dpc_jax.run.hosts import Place, find_place
-from dpc_jax.run.hosts.agreement import list_versions
 from dpc_jax.run.hosts.joining import joining
 
 ROOT = Path(__file__).parents[1]

@@ -4,7 +4,6 @@ import os
 import signal
 import subprocess
 import sys
-from pathlib import Path
 
 import jax
 import pytest
@@ -16,17 +15,22 @@ from dpc_jax.run.process import (
 )
 
 COMPILE = """
-from dpc_jax.task import hush_jaxlib
-hush_jaxlib()
-import jax, jax.numpy as jnp, sys, warnings
-warnings.simplefilter("error")
-from dpc_jax.run.process import keep_compiled_programs
-print(keep_compiled_programs())
-jax.config.update("jax_persistent_cache_min_compile_time_secs", 0.0)
-hits = []
-jax.monitoring.register_event_listener(lambda name, **_: hits.append(name))
-jax.jit(lambda x: jnp.sin(x) @ x.T)(jnp.ones((4, 3))).block_until_ready()
-print("hit" if "/jax/compilation_cache/cache_hits" in hits else "compiled")
+import pathlib, sys, warnings
+from dpc_jax.task import Task, run_command
+
+def work():
+    import jax, jax.numpy as jnp
+    warnings.simplefilter("error")
+    from dpc_jax.run.process import keep_compiled_programs
+    keep_compiled_programs()
+    print(jax.config.values["jax_compilation_cache_dir"])
+    jax.config.update("jax_persistent_cache_min_compile_time_secs", 0.0)
+    hits = []
+    jax.monitoring.register_event_listener(lambda name, **_: hits.append(name))
+    jax.jit(lambda x: jnp.sin(x) @ x.T)(jnp.ones((4, 3))).block_until_ready()
+    print("hit" if "/jax/compilation_cache/cache_hits" in hits else "compiled")
+
+sys.exit(run_command(lambda: Task(work, out=pathlib.Path("."), interrupted="")))
 """
 
 
@@ -60,17 +64,23 @@ def set_jax():
         jax.config.update(name, value)
 
 
+def keep():
+    """The folder that programs are kept in; None for nowhere."""
+    keep_compiled_programs()
+    return jax.config.values["jax_compilation_cache_dir"]
+
+
 def test_the_user_s_own_settings_come_first(set_jax, tmp_path, monkeypatch):
     monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path))
     set_jax("jax_compilation_cache_dir", "/mine")
-    assert keep_compiled_programs() == Path("/mine")
+    assert keep() == "/mine"
     set_jax("jax_compilation_cache_dir", None)
     set_jax("jax_enable_compilation_cache", False)
-    assert keep_compiled_programs() is None
+    assert keep() is None
     set_jax("jax_enable_compilation_cache", True)
     (tmp_path / "file").write_text("no folder")
     monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path / "file"))
-    assert keep_compiled_programs() is None
+    assert keep() is None
     assert [path.name for path in tmp_path.iterdir()] == ["file"]
 
 

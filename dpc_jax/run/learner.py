@@ -30,20 +30,25 @@ class Learner:
         split: str,
         *,
         threshold: float | None = None,
-    ) -> Predictions:
-        """Predictions for a split.
+    ) -> tuple[Predictions, float | None]:
+        """Predictions for a split; of voxel models also the threshold of surfaces.
+
+        Points of voxel models are on these surfaces.
 
         Args:
-          threshold: of `find_points`, for points of voxel models.
+          threshold: that the validation split, on which it is tuned, has given.
         """
         extras = list_extras(self.config)
         found = predict_all(self.predictor, state, self.sets[split], extras=extras)
-        if threshold is None:
-            return found
+        if self.config.network.shape != "voxels":
+            return found, None
         # It needs libraries of its own.
-        from dpc_jax.learning.inference.volumes import add_points
+        from dpc_jax.learning.inference import volumes
 
-        return add_points(found, threshold)
+        if split == "val":
+            threshold = volumes.find_threshold(found, self.sets["val"], self.align)
+        assert threshold is not None
+        return volumes.add_points(found, threshold), threshold
 
     def align(self, predictions: Predictions) -> Alignment:
         """Canonical alignment, from predictions for the validation split."""
@@ -51,21 +56,9 @@ class Learner:
             return identity_alignment()  # learned in the data's own frame
         return evaluator.align(predictions, self.sets["val"])
 
-    def find_points(self, predictions: Predictions) -> tuple[Predictions, float | None]:
-        """Validation predictions with points, and the threshold that gave them.
-
-        The threshold is tuned on them; only voxel models have one.
-        """
-        if self.config.network.shape != "voxels":
-            return predictions, None
-        # It needs libraries of its own.
-        from dpc_jax.learning.inference.volumes import find_points
-
-        return find_points(predictions, self.sets["val"], align=self.align)
-
     def validate(self, state: TrainState) -> dict[str, float]:
         """Metrics on the validation split."""
-        predictions, _ = self.find_points(self.predict(state, "val"))
+        predictions, _ = self.predict(state, "val")
         result = evaluator.score(
             predictions,
             self.sets["val"],
@@ -84,7 +77,7 @@ class Learner:
         That is the alignment from the network's frame to the object frame, and the
         threshold of the surfaces of a voxel model. All processes of a job must call it.
         """
-        validated, threshold = self.find_points(self.predict(state, "val"))
+        validated, threshold = self.predict(state, "val")
         alignment = self.align(validated)
-        predictions = self.predict(state, "test", threshold=threshold)
+        predictions, _ = self.predict(state, "test", threshold=threshold)
         return predictions, alignment, threshold

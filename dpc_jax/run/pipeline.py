@@ -15,13 +15,12 @@ from dpc_jax.learning.devices import make_mesh
 from dpc_jax.learning.inference.predictor import compile_predictor
 from dpc_jax.learning.step import TrainState, describe_state, init_state
 from dpc_jax.learning.training import loop
-from dpc_jax.learning.training.checkpoints import Checkpoints, Restored
-from dpc_jax.learning.training.records import MetricLog
+from dpc_jax.learning.training.agreement import Job
+from dpc_jax.learning.training.checkpoints import Checkpoints, Restored, restore_last
+from dpc_jax.learning.training.records import MetricLog, TensorBoardLog
 from dpc_jax.networks import ShapePoseNetwork
 from dpc_jax.run.hosts import Place
-from dpc_jax.run.hosts.agreement import Job
 from dpc_jax.run.hosts.joining import joining
-from dpc_jax.run.hosts.writing import SilentLog, open_checkpoints, restore_last
 from dpc_jax.run.learner import Learner
 from dpc_jax.run.process import catch_signals, prepare_process
 from dpc_jax.run.report.summary import report_run
@@ -103,19 +102,15 @@ def _run_in(folder, config, job):
 
 
 def _open_log(folder: Path, config, job: Job) -> MetricLog:
-    if not job.is_first:
-        return SilentLog()
-    path = folder / "metrics.jsonl"
-    if not config.log.tensorboard:
-        return MetricLog(path)
-    from dpc_jax.run.tensorboard import TensorBoardLog  # only where asked for
-
-    return TensorBoardLog(path, folder / "tensorboard")
+    path = folder / "metrics.jsonl" if job.is_first else None
+    if path and config.log.tensorboard:
+        return TensorBoardLog(path, folder / "tensorboard")
+    return MetricLog(path)
 
 
 def _train(learner: Learner, workdir: Path, log: MetricLog, job: Job) -> loop.Outcome:
     """Train to the last step, or until SIGTERM or Ctrl-C asks to save and stop."""
-    checkpoints = open_checkpoints(workdir / "checkpoints", job)
+    checkpoints = Checkpoints(workdir / "checkpoints", job)
     views = {split: int(data.counts.sum()) for split, data in learner.sets.items()}
     start = _restore_run(learner, checkpoints, log, job)
     with contextlib.closing(checkpoints), catch_signals() as stop:

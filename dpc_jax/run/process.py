@@ -69,34 +69,28 @@ def keep_freed_memory() -> None:
         libc.mallopt(top_pad, 64 * 2**20)
 
 
-def keep_compiled_programs() -> Path | None:
+def keep_compiled_programs() -> None:
     """Have XLA's programs read from the user's cache folder instead of compiled again.
 
     A second start of a config, a resumed run and a second prediction then begin within
     seconds. JAX's own settings come first: JAX_COMPILATION_CACHE_DIR names another
-    folder, JAX_ENABLE_COMPILATION_CACHE=false keeps nothing.
-
-    Returns:
-      The folder; None where nothing is kept, as when it cannot be written.
+    folder, JAX_ENABLE_COMPILATION_CACHE=false keeps nothing. Nor is anything kept where
+    the folder cannot be written.
     """
     settings = jax.config.values
-    if not settings["jax_enable_compilation_cache"]:
-        return None
-    if settings["jax_compilation_cache_dir"] is not None:
-        return Path(settings["jax_compilation_cache_dir"])
+    is_named = settings["jax_compilation_cache_dir"] is not None
+    if is_named or not settings["jax_enable_compilation_cache"]:
+        return
     home = os.environ.get("XDG_CACHE_HOME") or "~/.cache"
     folder = Path(home).expanduser() / "dpc_jax" / "programs"
-    try:
+    with contextlib.suppress(OSError):
         folder.mkdir(parents=True, exist_ok=True)
-    except OSError:
-        return None
     if not os.access(folder, os.W_OK):
-        return None
+        return
     _drop_old_files(folder)
     jax.config.update("jax_compilation_cache_dir", str(folder))
     # What compiles faster than this costs more to read than to compile.
     jax.config.update("jax_persistent_cache_min_compile_time_secs", 0.3)
-    return folder
 
 
 def _drop_old_files(folder):

@@ -14,8 +14,8 @@ from dpc_jax.data import DataSet
 from dpc_jax.evaluation.alignment import Alignment, align_points, identity_alignment
 from dpc_jax.learning.framing import make_inputs
 from dpc_jax.learning.step import TrainState, describe_state
+from dpc_jax.learning.training.checkpoints import restore_last
 from dpc_jax.networks import ShapePoseNetwork
-from dpc_jax.run.hosts.writing import restore_last
 from dpc_jax.run.setup import load_set, make_data_specs, make_network
 from dpc_jax.run.workdir import read_alignment, read_config
 

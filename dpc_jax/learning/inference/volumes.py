@@ -25,15 +25,12 @@ def add_points(
     return predictions._replace(points=points)
 
 
-def find_points(
+def find_threshold(
     predictions: Predictions,
     validation: DataSet,
-    *,
     align: Callable[[Predictions], Alignment],
-) -> tuple[Predictions, float]:
-    """Predictions with points of their surfaces, and the threshold that gave them.
-
-    It is the one of the least Chamfer distance on validation shapes.
+) -> float:
+    """The threshold of the least Chamfer distance of surfaces to validation shapes.
 
     Args:
       predictions: for the validation split.
@@ -50,7 +47,7 @@ def find_points(
             [views[0] for views in cells[: len(models)]],
             [align_points(back, np.asarray(validation.surfaces[m])) for m in models],
         )
-    return add_points(predictions, threshold), threshold
+    return threshold
 
 
 def find_surface(

@@ -1,7 +1,9 @@
 """What a run records of its steps, whether they are finite, and the file it goes to."""
 
 import contextlib
+import functools
 import json
+import math
 import os
 import time
 from collections.abc import Iterator
@@ -14,7 +16,6 @@ from dpc_jax.files import (
     explaining_full_disk,
     open_own,
     open_regular,
-    parse_json,
     write_text,
 )
 
@@ -171,10 +172,13 @@ def summarize(window: list[dict], *, heads: int) -> dict:
 
 
 class MetricLog:
-    """`metrics.jsonl` of a run; each record has at least `step` and `seconds`."""
+    """`metrics.jsonl` of a run; each record has at least `step` and `seconds`.
 
-    def __init__(self, path: str | os.PathLike):
-        self._path = Path(path)
+    Without a path, as in all processes of a job but the first, nothing is kept.
+    """
+
+    def __init__(self, path: str | os.PathLike | None):
+        self._path = None if path is None else Path(path)
 
     def write(self, record: dict):
         """Append one record; it is on disk when this returns.
@@ -182,6 +186,8 @@ class MetricLog:
         Raises:
           OSError: where the disk is full.
         """
+        if self._path is None:
+            return
         with (
             explaining_full_disk(self._path.parent),
             open(self._path, "a", encoding="utf-8", opener=open_own) as file,
@@ -191,12 +197,13 @@ class MetricLog:
     def read(self) -> list[dict]:
         """All records; a line that is none, as one cut by a kill, is passed over."""
         records = []
-        if self._path.exists():
+        if self._path and self._path.exists():
             with open_regular(self._path) as file:
                 text = file.read().decode("utf-8", "replace")
             for line in text.splitlines():
-                with contextlib.suppress(json.JSONDecodeError):
-                    records.append(parse_json(line))
+                # Too deep for Python's parser is no record either.
+                with contextlib.suppress(ValueError, RecursionError):
+                    records.append(json.loads(line))
         return [
             record
             for record in records
@@ -206,9 +213,61 @@ class MetricLog:
 
     def cut_after(self, step: int):
         """Drop the records after a step: a resumed run writes them again."""
-        if self._path.exists():
+        if self._path and self._path.exists():
             kept = [r for r in self.read() if r["step"] <= step]
             write_text(self._path, "".join(json.dumps(r) + "\n" for r in kept))
 
     def close(self):
         """Do nothing: each record is on disk already."""
+
+
+class TensorBoardLog(MetricLog):
+    """`metrics.jsonl`, which stays the record, and a folder for `tensorboard --logdir`.
+
+    Each start writes the events of all records anew: steps that a kill has made stale
+    are in neither. The time of an event counts seconds of training, so that the axis
+    "relative" is the run time of the report's curves.
+
+    Args:
+      path: of `metrics.jsonl`.
+      folder: of the event files, made where there is none.
+    """
+
+    def __init__(self, path: Path, folder: Path):
+        from tensorboardX import SummaryWriter  # only where asked for
+
+        super().__init__(path)
+        self._folder, self._writer = folder, None
+        # A TensorBoard that has read the files before forgets their steps.
+        self._open = functools.partial(SummaryWriter, str(folder), purge_step=0)
+
+    def write(self, record: dict):
+        """Append one record; OSError where the disk is full."""
+        super().write(record)
+        self._add_record(record)
+
+    def cut_after(self, step: int):
+        """Drop the records after a step, and begin the event files with the others."""
+        super().cut_after(step)
+        for path in self._folder.glob("events.*"):
+            path.unlink()
+        self._writer = self._open()
+        records = self.read()
+        self._started = time.time() - (records[-1]["seconds"] if records else 0.0)
+        for record in records:
+            self._add_record(record)
+
+    def close(self):
+        """Close the event file."""
+        if self._writer is not None:
+            self._writer.close()
+
+    def _add_record(self, record):
+        """Its finite numbers, by name."""
+        assert self._writer is not None, "cut_after comes first"
+        when = self._started + record["seconds"]
+        for name, value in record.items():
+            is_number = isinstance(value, int | float) and math.isfinite(value)
+            if is_number and name != "step":
+                self._writer.add_scalar(name, float(value), record["step"], when)
+        self._writer.flush()

@@ -19,8 +19,9 @@ from collections.abc import Iterator
 
 import jax
 
+from dpc_jax.files import reading
+from dpc_jax.learning.training.agreement import Job
 from dpc_jax.run.hosts import Place
-from dpc_jax.run.hosts.agreement import Job
 
 # A process that says nothing for so long is lost: stopped, or its host is gone. Where
 # virtual machines stand still at times, DPC_JAX_HEARTBEAT_SECONDS sets a longer one.
@@ -85,8 +86,8 @@ def _connect(place):
     # jax would catch SIGTERM for itself, so that it did not end a process that renders.
     jax.config.update("jax_enable_preemption_service", False)
     logging.getLogger("jax").setLevel(logging.ERROR)
-    seconds = _read_seconds("JOIN", JOIN_SECONDS)
-    heartbeat = _read_seconds("HEARTBEAT", HEARTBEAT_SECONDS)
+    seconds = _read_seconds("DPC_JAX_JOIN_SECONDS", JOIN_SECONDS)
+    heartbeat = _read_seconds("DPC_JAX_HEARTBEAT_SECONDS", HEARTBEAT_SECONDS)
     print(
         f"Process {place.process} waits up to {seconds} s for all {place.processes} "
         f"processes of the job at {place.coordinator}.",
@@ -102,15 +103,9 @@ def _connect(place):
     )
 
 
-def _read_seconds(name, default):
-    variable = f"DPC_JAX_{name}_SECONDS"
-    given = os.environ.get(variable, str(default))
-    if not given.isdigit() or int(given) < 1:
-        raise ValueError(
-            f"{variable} must be a whole number of seconds, at least one, but it is "
-            f"{given!r}; set it to {default}, for instance."
-        )
-    return int(given)
+def _read_seconds(variable, default):
+    with reading("a whole number of seconds", variable, f"set it to {default}"):
+        return int(os.environ.get(variable, default))
 
 
 def _check_port(address):

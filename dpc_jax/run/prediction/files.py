@@ -5,7 +5,7 @@ from typing import Any
 
 import numpy as np
 
-from dpc_jax.evaluation.confidence import Confidence, describe
+from dpc_jax.evaluation.confidence import describe
 from dpc_jax.evaluation.rotations import describe_pose
 from dpc_jax.files import write_json
 from dpc_jax.reporting.examples import Example
@@ -56,8 +56,10 @@ def _describe_views(one: PredictedObject) -> list[dict[str, Any]]:
         facts |= one.cameras[i]
         sentence = [f"{name}:", text]
         if one.confidences is not None:
-            facts |= _describe_confidence(one.confidences[i])
-            sentence.append(describe(one.confidences[i]))
+            found = one.confidences[i]
+            known = {n: round(v, 4) for n, v in found._asdict().items() if n != "error"}
+            facts |= known | {"trust": found.level}
+            sentence.append(describe(found))
         if one.errors is not None:
             before, after = map(float, one.errors[:, i])
             facts["silhouette_error"] = {"before": before, "after": after}
@@ -65,17 +67,6 @@ def _describe_views(one: PredictedObject) -> list[dict[str, Any]]:
             sentence.append(text)
         views.append(facts | {"sentence": " ".join(sentence)})
     return views
-
-
-def _describe_confidence(found: Confidence) -> dict[str, Any]:
-    return {
-        "confidence": round(found.confidence, 4),
-        "trust": found.level,
-        "agreement": round(found.agreement, 4),
-        "spread_deg": round(found.spread_deg, 2),
-        "overlap": round(found.overlap, 4),
-        "rival_probability": round(found.rival_probability, 4),
-    }
 
 
 def _make_example(one: PredictedObject, view: int) -> Example:

@@ -50,7 +50,7 @@ def judge_finally(
     sets = load_sets(config) | {FINAL: dataset}
     learner = Learner(config, sets)
     threshold = (read_metrics(workdir) or {}).get("surface_threshold")
-    predictions = learner.predict(trained.state, FINAL, threshold=threshold)
+    predictions, _ = learner.predict(trained.state, FINAL, threshold=threshold)
     judged = judge(dataset, config, predictions, trained.alignment, threshold)
     count = predictions.points.shape[2]
     shapes = TrainingShapes.gather(sets | {"test": dataset}, count)

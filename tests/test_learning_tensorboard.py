@@ -5,8 +5,7 @@ import struct
 import pytest
 from tensorboardX.proto.event_pb2 import Event
 
-from dpc_jax.learning.training.records import MetricLog
-from dpc_jax.run.tensorboard import TensorBoardLog
+from dpc_jax.learning.training.records import MetricLog, TensorBoardLog
 
 STEPS = (5, 10, 15, 20)
 
