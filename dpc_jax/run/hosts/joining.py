@@ -103,7 +103,7 @@ def _connect(place):
     )
 
 
-def _read_seconds(variable, default):
+def _read_seconds(variable: str, default: int) -> int:
     with reading("a whole number of seconds", variable, f"set it to {default}"):
         return int(os.environ.get(variable, default))
 
