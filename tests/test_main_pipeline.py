@@ -171,7 +171,7 @@ def test_the_report_has_every_number_and_picture_that_is_promised(finished):
 
 def test_plain_lines_tell_how_far_the_run_is_where_there_is_no_terminal(finished):
     _, out = finished
-    assert f"step 50/{STEPS}, loss " in out and " s left" in out
+    assert f"step 50/{STEPS}, loss " in out and " s of training left" in out
     assert f"Validation at step {EVALUATED}" in out
     assert "\x1b" not in out and "\r" not in out
     assert out.rstrip().endswith("report/index.html")
