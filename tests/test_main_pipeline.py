@@ -23,7 +23,7 @@ from orbax.checkpoint import v1 as ocp
 from PIL import Image
 
 from dpc_jax import predict, rotation_angle_deg
-from dpc_jax.config import from_config_dict, replace_fields
+from dpc_jax.config import from_fields, replace_fields
 from dpc_jax.data.dataset import read_cache
 from dpc_jax.data.disturbances import DISTURBANCES
 from dpc_jax.data.viewpoints import look_at_rotation
@@ -94,7 +94,7 @@ class Command:
         """The same in this process, which need not start."""
         config = load_editable("debug")
         config.update_from_flattened_dict(self.fields | changes)
-        pipeline.run(from_config_dict(config), workdir)
+        pipeline.run(from_fields(config.to_dict()), workdir)
 
 
 @pytest.fixture(scope="module")

@@ -4,7 +4,6 @@ import contextlib
 import json
 import os
 import time
-from collections.abc import Iterator
 from pathlib import Path
 
 import jax
@@ -71,14 +70,9 @@ class Window:
         self.check()
         self._metrics.append(metrics)
 
-    @contextlib.contextmanager
-    def waiting(self) -> Iterator[None]:
-        """Count the time inside the context as compilation, not as that of steps."""
-        started = time.monotonic()
-        try:
-            yield
-        finally:
-            self._waited += time.monotonic() - started
+    def add_waiting(self, seconds: float):
+        """Count seconds until now as compilation, not as those of steps."""
+        self._waited += seconds
 
     def check(self):
         """Check the last step too."""
