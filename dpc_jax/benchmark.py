@@ -89,7 +89,6 @@ def list_tasks(
 def _measure(options, command):
     """Measure part by part, and write the report after each: parts take minutes."""
     # Heavy, as above.
-    from dpc_jax.learning.training.progress import ProgressReport
     from dpc_jax.measure.benchmark import pytorch, report
     from dpc_jax.measure.timing import describe_machine
     from dpc_jax.render import use_all_cores
@@ -110,17 +109,15 @@ def _measure(options, command):
     }
     tasks = {p: list_tasks(p, plan) for p in PARTS if p in options.parts}
     step, total = 0, sum(map(len, tasks.values()))
-    with ProgressReport("Benchmark", total=total) as progress:
-        for part, measures in tasks.items():
-            records = []
-            for name, measure in measures:
-                step += 1
-                progress.tell(f"{step}/{total} {part}: {name}")
-                found = measure()
-                records += [found] if isinstance(found, dict) else found
-                progress.advance(step)
-            results[part] = records
-            report.write_report(options.out, results)
+    for part, measures in tasks.items():
+        records = []
+        for name, measure in measures:
+            step += 1
+            print(f"{step}/{total} {part}: {name}", flush=True)
+            found = measure()
+            records += [found] if isinstance(found, dict) else found
+        results[part] = records
+        report.write_report(options.out, results)
     print(f"Report: {options.out / 'benchmark.md'}")
 
 

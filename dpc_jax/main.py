@@ -9,7 +9,7 @@ import sys
 from collections.abc import Sequence
 from pathlib import Path
 
-from dpc_jax.config import Config, from_config_dict, locate_config
+from dpc_jax.config import Config, from_fields, locate_config
 from dpc_jax.run.hosts import find_place
 from dpc_jax.task import FlagParser, Task, run_command
 
@@ -62,7 +62,7 @@ def read_flags(arguments: Sequence[str]) -> tuple[argparse.Namespace, Config]:
     try:
         others = values(words)[1:]
         # A config that could not be loaded says so only when it is read.
-        config = from_config_dict(values.config)
+        config = from_fields(values.config.to_dict())
     except (flags.Error, AttributeError, KeyError, TypeError, ValueError, OSError) as e:
         raise ValueError(_explain(e)) from None
     if others:

@@ -65,23 +65,20 @@ def run_subject(subject: str, *, quick: bool) -> list:
 
 def _measure(options, command):
     """Run subject by subject, and print what failed; the exit status."""
-    from dpc_jax.learning.training.progress import ProgressReport
     from dpc_jax.measure.stability.report import write_report
 
     options.out.mkdir(parents=True, exist_ok=True)
     rows, seconds, path = [], {}, None
     # In the order of the report, whatever the order of the flag.
     wanted = [name for name in SUBJECTS if name in options.subjects]
-    with ProgressReport("Stability", total=len(wanted)) as progress:
-        for step, subject in enumerate(wanted, start=1):
-            start = time.perf_counter()
-            found = run_subject(subject, quick=options.quick)
-            seconds[subject] = time.perf_counter() - start
-            rows += found
-            progress.tell(f"{step}/{len(wanted)} {subject}: {len(found)} rows")
-            # After each one, so that an interrupted run keeps those that are done.
-            path = write_report(options.out, rows, seconds=seconds, command=command)
-            progress.advance(step)
+    for step, subject in enumerate(wanted, start=1):
+        start = time.perf_counter()
+        found = run_subject(subject, quick=options.quick)
+        seconds[subject] = time.perf_counter() - start
+        rows += found
+        print(f"{step}/{len(wanted)} {subject}: {len(found)} rows", flush=True)
+        # After each one, so that an interrupted run keeps those that are done.
+        path = write_report(options.out, rows, seconds=seconds, command=command)
     failures = [row.describe_failure() for row in rows if not row.passes]
     for failure in failures:
         print(f"Outside tolerance: {failure}")

@@ -7,7 +7,7 @@ import jax
 import jax.numpy as jnp
 
 from dpc_jax import main
-from dpc_jax.config import check, from_config_dict, replace_fields
+from dpc_jax.config import check, from_fields, replace_fields
 from dpc_jax.outputs import explain
 from dpc_jax.run.setup import make_network
 
@@ -30,7 +30,7 @@ TINY = {
 
 def load(name, variant=None):
     """The frozen config of a file in configs/."""
-    return from_config_dict(load_editable(name, variant))
+    return from_fields(load_editable(name, variant).to_dict())
 
 
 def change(config, section, **fields):

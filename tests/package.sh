@@ -25,7 +25,7 @@ export XLA_FLAGS="--xla_backend_optimization_level=0 --xla_llvm_disable_expensiv
 "$folder/empty/bin/python" -c "
 import dpc_jax, importlib.util, jax
 print(dpc_jax.project(jax.numpy.zeros((1, 3)), jax.numpy.eye(3), sigma=1.0).silhouette.sum())
-heavy = 'orbax flax optax trimesh matplotlib plotly skimage ml_collections PIL rich'
+heavy = 'orbax flax optax trimesh matplotlib plotly skimage ml_collections PIL'
 assert not any(map(importlib.util.find_spec, heavy.split()))"
 ! "$folder/empty/bin/dpc_jax" train --config=debug 2>"$folder/said"
 grep -q "^Error: .*pip install 'dpc_jax\[learn\]'" "$folder/said"

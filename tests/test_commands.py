@@ -42,7 +42,7 @@ from dpc_jax.commands import COMMANDS, load_module
 assert "numpy" not in sys.modules and "absl" not in sys.modules
 for command in COMMANDS:
     load_module(command).make_parser().format_help()
-heavy = "jax scipy trimesh embreex matplotlib flax optax orbax rich tensorboardX PIL"
+heavy = "jax scipy trimesh embreex matplotlib flax optax orbax tensorboardX PIL"
 print([name for name in heavy.split() if name in sys.modules])
 """
     done = start("-c", code)

@@ -2,6 +2,7 @@
 
 import dataclasses
 import functools
+import re
 from types import SimpleNamespace
 
 import jax
@@ -66,7 +67,8 @@ def run_loop(folder, state, *, every=(1, 0, 2), **changes):
     log = MetricLog(folder / "metrics.jsonl")
     if "network" not in changes:
         state = copy_from_host(state)
-    run = {"dataset": DATASET, "network": NETWORK, "config": CONFIG} | changes
+    run = {"dataset": DATASET, "network": NETWORK, "config": CONFIG}
+    run |= {"evaluate": lambda state: SCORES} | changes
     run["config"] = dataclasses.replace(run["config"], log=Log(*every))
     try:
         return loop.train(state, checkpoints=checkpoints, log=log, **run)
@@ -123,7 +125,7 @@ def test_a_run_that_stops_saves_and_then_ends_as_one_that_did_not(
     outcome = run_loop(tmp_path, restored.state, seconds=restored.seconds)
     assert outcome.is_finished
     assert_same_bits(outcome.state, unbroken)
-    records = read(tmp_path)
+    records = [r for r in read(tmp_path) if "loss" in r]
     assert [r["step"] for r in records] == list(range(1, 9))
     assert sum(records[0]["head_shares"]) == pytest.approx(1, abs=1e-3)
     assert {"reprojection", "student", "gradient_norm_pose"} <= records[0].keys()
@@ -163,6 +165,19 @@ def test_the_time_of_a_validation_is_not_training_time(
     assert now[0] == 1000.0
     assert [r["seconds"] for r in read(tmp_path)] == [70, 70, 70, 70]
     assert outcome.seconds == restore(tmp_path, first_state)[0].seconds == 70
+
+
+def test_lines_say_that_a_program_compiles_and_how_far_a_run_is(
+    tmp_path, first_state, capsys
+):
+    run_loop(tmp_path, first_state, every=(6, 0, 0), title="Training car")
+    lines = capsys.readouterr().out.splitlines()
+    assert lines[0] == "Training car: compiling"
+    assert re.fullmatch(r"Training car: compiling took \d+\.\d s", lines[1])
+    report = r".* step (\d)/8, loss [\d.]+, [\d.]+ steps/s, (\d+) s of training left"
+    found = [re.fullmatch(report, line) for line in lines]
+    assert [f[1] for f in found if f] == ["6", "8"]
+    assert found[-2][2] == "0" and lines[-1].startswith("Validation at step 8: ")
 
 
 def break_shape(program, state, batch):
@@ -215,4 +230,4 @@ def test_a_run_that_breaks_ends_with_its_step_at_the_last_good_checkpoint(
     last = 5 if every[2] == 1 else 4
     assert steps[-1] == int(restored.state.step) == last
     assert all(np.all(np.isfinite(leaf)) for leaf in jax.tree.leaves(restored.state))
-    assert all(np.isfinite(r["loss"]) for r in read(tmp_path))
+    assert all(np.isfinite(r["loss"]) for r in read(tmp_path) if "loss" in r)

@@ -60,10 +60,10 @@ class Watched:
         return make_step(stage)
 
 
-def wait_until_ready(programs, *steps):
-    for step in steps:
-        while not programs.is_ready(step):
-            time.sleep(0.01)
+def wait_until_compiled(programs):
+    done = threading.Event()
+    programs.run_ahead(done.set)  # behind what waits there
+    done.wait()
 
 
 def test_later_stages_are_compiled_before_they_begin_in_threads_that_give_way():
@@ -71,7 +71,7 @@ def test_later_stages_are_compiled_before_they_begin_in_threads_that_give_way():
     with StagePrograms(make, SPANS) as programs:
         assert programs.find(0) is None
         programs.begin(0, state := make_state(), BATCH)
-        wait_until_ready(programs, 1000, 2000)
+        wait_until_compiled(programs)
         for step, points in ((0, 10), (1000, 20), (2500, 30)):
             program = programs.find(step) or programs.begin(step, state, BATCH)
             _, metrics = program(old := make_state(), BATCH)
@@ -88,14 +88,14 @@ def test_a_run_that_goes_on_compiles_no_stage_that_is_over():
     make = Watched()
     with StagePrograms(make, SPANS) as programs:
         programs.begin(1500, make_state(), BATCH)
-        wait_until_ready(programs, 2000)
+        wait_until_compiled(programs)
     assert set(make.threads) == {SECOND, THIRD}
 
 
 def test_an_error_in_the_background_comes_once_all_are_compiled():
     with StagePrograms(Watched(fails=[SECOND]), SPANS) as programs:
         programs.begin(0, make_state(), BATCH)
-        wait_until_ready(programs, 1000, 2000)
+        wait_until_compiled(programs)
         with pytest.raises(ValueError, match="20 points"):
             programs.raise_failures()
         with pytest.raises(ValueError, match="20 points"):

@@ -1,13 +1,10 @@
-"""What a run records and shows: metric log, windows of steps, progress, time left."""
+"""What a run records: metric log, windows of steps."""
 
 import json
-import re
-import sys
 
 import numpy as np
 import pytest
 
-from dpc_jax.learning.training.progress import Forecast, ProgressReport
 from dpc_jax.learning.training.records import (
     MetricLog,
     NonFiniteError,
@@ -83,54 +80,3 @@ def test_a_gradient_that_is_not_finite_is_named_though_the_loss_is(value):
 @pytest.mark.parametrize(("first", "loss"), [(30.0, 2900.0), (-0.1, 50.0), (0, -99)])
 def test_a_loss_that_varies_is_no_divergence(first, loss):
     check_step({"loss": loss, "gradient_norms": {"pose": -1.0}}, 12, first=first)
-
-
-def show(capsys, *, seconds_left):
-    with ProgressReport("Training car", total=200) as progress:
-        with progress.compiling():
-            pass
-        progress.advance(100)
-        progress.report(100, loss=1.5, steps_per_second=12.3, seconds_left=seconds_left)
-    return capsys.readouterr().out
-
-
-def test_plain_lines_say_that_a_program_compiles_and_how_far_a_run_is(capsys):
-    lines = show(capsys, seconds_left=81.6).splitlines()
-    assert lines[0] == "Training car: compiling"
-    assert re.fullmatch(r"Training car: compiling took \d+\.\d s", lines[1])
-    report = "Training car: step 100/200, loss 1.50, 12.3 steps/s"
-    assert lines[2] == f"{report}, 82 s left"
-    assert show(capsys, seconds_left=None).splitlines()[2] == report
-
-
-def test_the_bar_on_a_terminal_shows_the_same_estimate(capsys, monkeypatch):
-    monkeypatch.setattr(sys.stdout, "isatty", lambda: True)
-    for name, value in (("COLUMNS", "200"), ("TERM", "xterm"), ("FORCE_COLOR", "1")):
-        monkeypatch.setenv(name, value)
-    text = show(capsys, seconds_left=81.6)
-    text = re.sub(r"\x1b\[[0-9;?]*[A-Za-z]", "", text)
-    assert "compiling took 0.0 s" in text
-    assert re.search(r"100/200 +loss 1\.50  12\.3 steps/s  82 s left", text)
-    assert not re.search(r"\d:\d\d:\d\d", text)  # rich's own estimate is not there
-
-
-def test_a_slower_stage_soon_counts_more_than_the_steps_before_it():
-    forecast = Forecast(6000)
-    assert forecast.compute_left(0) is None
-    for done in range(100, 3001, 100):
-        forecast.add_rate(done, 10.0)
-        assert forecast.compute_left(done) == pytest.approx((6000 - done) / 10)
-    for done in range(3100, 4001, 100):
-        forecast.add_rate(done, 5.0)
-    # Within a tenth after three minutes of the new pace.
-    assert forecast.compute_left(4000) == pytest.approx(2000 / 5, rel=0.1)
-
-
-def test_validations_and_what_follows_training_count():
-    forecast = Forecast(100, start=50, validate_every=30, validations_after=2.0)
-    forecast.add_rate(60, 10.0)
-    for seconds in (9.0, 6.0):
-        forecast.add_validation(seconds)
-    # Those of steps 90 and 100, as long as the shortest so far.
-    assert forecast.compute_left(60) == pytest.approx(40 / 10 + (2 + 2) * 6)
-    assert forecast.compute_left(100) == pytest.approx(2 * 6)

@@ -34,7 +34,7 @@ class Run:
         self.masks = self.dataset.masks.reshape(-1, *self.dataset.masks.shape[2:])
         predictor = make_predictor(self.network, self.config)
         self.plain = predict_all(predictor, self.state, self.dataset)
-        codes = self.plain.codes[..., : self.network.hidden]
+        codes = self.plain.codes[..., : self.network.encoder.hidden]
         self.directions = find_directions(codes)
         self.refiner = make_refiner(self.network, self.config)
 

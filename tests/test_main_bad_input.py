@@ -6,7 +6,7 @@ import pytest
 from config_files import FOLDER, load_editable, refuse_flags
 from tiny_runs import make_dataset
 
-from dpc_jax.config import from_config_dict
+from dpc_jax.config import from_fields
 from dpc_jax.outputs import explain
 from dpc_jax.run import pipeline, setup
 from dpc_jax.run.report.judging import judge_finally
@@ -23,7 +23,7 @@ def config(tmp_path):
 def refuse(config, workdir):
     """The one line of a run that is refused."""
     with pytest.raises((ValueError, OSError)) as caught:
-        pipeline.run(from_config_dict(config), workdir)
+        pipeline.run(from_fields(config.to_dict()), workdir)
     error = explain(caught.value)
     assert "\n" not in error and "Traceback" not in error
     return error
@@ -35,7 +35,7 @@ def set_field(config, field, value):
 
 
 def test_a_run_that_is_not_finished_cannot_be_judged(config, tmp_path):
-    config = from_config_dict(config)
+    config = from_fields(config.to_dict())
     with pytest.raises(ValueError, match="config of a run in"):
         pipeline.judge(config, tmp_path / "none", judge_finally)
     assert not (tmp_path / "none").exists()
@@ -107,10 +107,10 @@ def test_sets_that_do_not_fit_the_config_are_refused(config, monkeypatch):
     made = make_dataset(models=4, views=5)._replace(quaternions=None)
     monkeypatch.setattr(setup, "load_or_render", lambda *_, **__: made)
     with pytest.raises(ValueError, match="the train and val and test images"):
-        setup.load_sets(from_config_dict(config))
+        setup.load_sets(from_fields(config.to_dict()))
     set_field(config, "train.models_per_batch", 5)
     with pytest.raises(ValueError, match="= 5 models to train on, but there are 4"):
-        setup.load_sets(from_config_dict(config))
+        setup.load_sets(from_fields(config.to_dict()))
 
 
 def test_a_workdir_that_is_a_file_is_refused_and_the_file_is_left_alone(
@@ -124,7 +124,7 @@ def test_a_workdir_that_is_a_file_is_refused_and_the_file_is_left_alone(
 
 
 def test_a_workdir_of_another_config_is_refused_naming_what_differs(config, tmp_path):
-    workdir = claim_workdir(tmp_path / "workdir", from_config_dict(config))
+    workdir = claim_workdir(tmp_path / "workdir", from_fields(config.to_dict()))
     (workdir / "metrics.jsonl").write_text('{"step": 5, "seconds": 1}\n')
     before = (workdir / "config.json").read_text()
     config.train.steps = 21
@@ -135,13 +135,13 @@ def test_a_workdir_of_another_config_is_refused_naming_what_differs(config, tmp_
 
 
 def test_a_start_that_was_refused_leaves_its_workdir_to_a_better_one(config, tmp_path):
-    workdir = claim_workdir(tmp_path / "workdir", from_config_dict(config))
+    workdir = claim_workdir(tmp_path / "workdir", from_fields(config.to_dict()))
     config.train.models_per_batch = 1
-    assert claim_workdir(workdir, from_config_dict(config)) == workdir
+    assert claim_workdir(workdir, from_fields(config.to_dict())) == workdir
 
 
 def test_what_does_not_change_the_result_may_differ(config, tmp_path):
-    claim_workdir(tmp_path, from_config_dict(config))
+    claim_workdir(tmp_path, from_fields(config.to_dict()))
     (tmp_path / "metrics.jsonl").touch()  # of a run that has begun
     changes = {
         "data.cache_dir": "elsewhere",
@@ -151,7 +151,7 @@ def test_what_does_not_change_the_result_may_differ(config, tmp_path):
     }
     assert all(name.startswith(FREE_FIELDS) for name in changes)
     config.update_from_flattened_dict(changes)
-    claim_workdir(tmp_path, from_config_dict(config))
+    claim_workdir(tmp_path, from_fields(config.to_dict()))
 
 
 # What the command line refuses before a config is there.

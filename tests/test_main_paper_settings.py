@@ -116,7 +116,8 @@ def test_network_four_pose_heads_of_two_layers_behind_a_shared_one():
 def test_network_leaky_relu_of_slope_a_fifth_and_no_normalisation():
     assert float(leaky_relu(jnp.array(-1.0))) == pytest.approx(-0.2)
     network = make_network(load("car", "paper"))
-    assert network.pose_slope == 0.2 and not (network.normalize or network.spreads)
+    assert network.pose.slope == network.student.slope == 0.2
+    assert not (network.encoder.normalize or network.pose.spreads)
 
 
 @pytest.mark.parametrize("variant", ["paper", "paper,naive", "paper,known_pose,128"])

@@ -23,7 +23,7 @@ from orbax.checkpoint import v1 as ocp
 from PIL import Image
 
 from dpc_jax import predict, rotation_angle_deg
-from dpc_jax.config import from_config_dict, replace_fields
+from dpc_jax.config import from_fields, replace_fields
 from dpc_jax.data.dataset import read_cache
 from dpc_jax.data.disturbances import DISTURBANCES
 from dpc_jax.data.viewpoints import look_at_rotation
@@ -94,7 +94,7 @@ class Command:
         """The same in this process, which need not start."""
         config = load_editable("debug")
         config.update_from_flattened_dict(self.fields | changes)
-        pipeline.run(from_config_dict(config), workdir)
+        pipeline.run(from_fields(config.to_dict()), workdir)
 
 
 @pytest.fixture(scope="module")
@@ -171,7 +171,7 @@ def test_the_report_has_every_number_and_picture_that_is_promised(finished):
 
 def test_plain_lines_tell_how_far_the_run_is_where_there_is_no_terminal(finished):
     _, out = finished
-    assert f"step 50/{STEPS}, loss " in out and " s left" in out
+    assert f"step 50/{STEPS}, loss " in out and " s of training left" in out
     assert f"Validation at step {EVALUATED}" in out
     assert "\x1b" not in out and "\r" not in out
     assert out.rstrip().endswith("report/index.html")

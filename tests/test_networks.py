@@ -13,9 +13,14 @@ import numpy as np
 import pytest
 
 from dpc_jax import rotation_angle_deg
-from dpc_jax.networks import ImageEncoder, ShapeHead, ShapePoseNetwork
+from dpc_jax.networks import ImageEncoder, PoseStudent, ShapeHead, ShapePoseNetwork
 from dpc_jax.networks.encoder import measure_tint
-from dpc_jax.networks.pose import BoundedHead, PoseEnsemble, spread_rotations
+from dpc_jax.networks.pose import (
+    BoundedHead,
+    PoseEnsemble,
+    PoseSelector,
+    spread_rotations,
+)
 from dpc_jax.networks.shape import LARGEST_SIZE, SMALLEST_SIZE, bound_sizes
 from dpc_jax.networks.voxels import DoublingConv, VoxelHead
 
@@ -42,9 +47,13 @@ def image_shape(size, channels=3):
     return jax.ShapeDtypeStruct((2, size, size, channels), jnp.float32)
 
 
-def network_shapes(inputs=3, **changes):
-    values = dict(num_points=10, num_heads=4, channels=2, hidden=8, shape_hidden=8)
-    return shapes_of(ShapePoseNetwork(**values | changes), image_shape(16, inputs))
+ENCODER, CLOUD = ImageEncoder(2, 8), ShapeHead(num_points=10, hidden=8)
+HEADS = PoseEnsemble(num_heads=4, hidden=8)
+
+
+def network_shapes(inputs=3, shape=CLOUD, **others):
+    network = ShapePoseNetwork(ENCODER, shape, HEADS, PoseStudent(8), **others)
+    return shapes_of(network, image_shape(16, inputs))
 
 
 def test_a_mixture_of_images_is_made_after_the_first_dense_layer():
@@ -76,35 +85,33 @@ def test_an_image_size_that_cannot_be_halved_to_four_is_refused_in_a_sentence(si
 
 
 def test_a_single_regressor_is_its_own_student_and_one_that_selects_has_logits():
-    make = functools.partial(
-        ShapePoseNetwork, num_points=4, channels=2, hidden=8, shape_hidden=8
-    )
     images = jnp.ones((2, 16, 16, 3))
-    single = run(make(num_heads=1), images)
+    single = run(ShapePoseNetwork(ENCODER, CLOUD, PoseEnsemble(1, 8)), images)
     assert single["candidates"].shape == (2, 1, 4)
     np.testing.assert_array_equal(single["student"], single["candidates"][:, 0])
-    selecting = run(make(num_heads=3, num_classes=12), images)
+    heads = PoseEnsemble(3, 8), PoseSelector(12, 8)
+    selecting = run(ShapePoseNetwork(ENCODER, CLOUD, *heads), images)
     assert selecting["logits"].shape == (2, 12) and "student" not in selecting
 
 
 def test_the_shape_branch_has_colours_and_sizes_where_they_are_learned():
     plain = network_shapes()
     colors = {"shape/colors/bias": (30,), "shape/colors/kernel": (8, 30)}
-    assert network_shapes(has_color=True) == plain | colors
+    assert network_shapes(shape=CLOUD.clone(has_color=True)) == plain | colors
     sizes = {"shape/sizes/bias": (10,), "shape/sizes/kernel": (8, 10)}
-    assert network_shapes(point_size="sigma") == plain | sizes
+    assert network_shapes(shape=CLOUD.clone(point_size="sigma")) == plain | sizes
     full = {"shape/sizes/bias": (30,), "shape/sizes/kernel": (8, 30)}
     full |= {"shape/turns/bias": (40,), "shape/turns/kernel": (8, 40)}
-    assert network_shapes(point_size="covariance") == plain | full
+    assert network_shapes(shape=CLOUD.clone(point_size="covariance")) == plain | full
 
 
 def test_a_tint_adds_one_number_per_point_and_reaches_colours_alone():
-    learns = dict(has_color=True, has_translation=True, focal_length=1.875)
+    learns = dict(shape=CLOUD.clone(has_color=True))
+    learns |= dict(translation=BoundedHead(3, 0.15), focal=BoundedHead(1, 0.3))
     colored, tinted = network_shapes(**learns), network_shapes(**learns, is_tinted=True)
     assert {**colored, "shape/tint": (1, 10, 1)} == tinted
-    network = ShapePoseNetwork(
-        num_points=10, num_heads=2, channels=2, hidden=8, shape_hidden=8, **learns
-    ).clone(is_tinted=True)
+    heads = {"pose": PoseEnsemble(2, 8), "student": PoseStudent(8)}
+    network = ShapePoseNetwork(ENCODER, **heads, **learns, is_tinted=True)
     features = jax.random.normal(KEY, (1, 8))
 
     def predict(module, tint):
@@ -230,9 +237,7 @@ def test_camera_heads_start_near_the_middle_and_stay_in_range():
 
 
 def test_a_focal_length_is_predicted_around_that_of_the_config():
-    network = ShapePoseNetwork(
-        num_points=4, num_heads=0, channels=2, hidden=8, focal_length=1.875
-    )
+    network = ShapePoseNetwork(ENCODER, CLOUD, focal=BoundedHead(1, 0.3))
     output = run(network, jax.random.normal(jax.random.key(1), (3, 16, 16, 3)))
     assert set(output) == {"points", "scale", "focal_lengths"}
     assert output["focal_lengths"].shape == (3,)

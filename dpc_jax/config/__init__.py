@@ -6,7 +6,6 @@ command line edits, and back.
 """
 
 from dpc_jax.config.checks import check as check
-from dpc_jax.config.face import from_config_dict as from_config_dict
 from dpc_jax.config.face import from_fields as from_fields
 from dpc_jax.config.face import list_fields as list_fields
 from dpc_jax.config.face import list_shipped as list_shipped

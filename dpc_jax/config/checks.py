@@ -65,7 +65,12 @@ def _list_rules(config):
         "0, or a divisor of train.models_per_batch = "
         f"{train.models_per_batch}, so that all devices have as many objects",
     )
-    yield from _list_folder_rules(config)
+    yield (
+        "data.fold",
+        bool(given) and not data.test_meshes or not data.fold,
+        "'' unless there is a folder of models (data.meshes, say) that is split by "
+        "seed and tested on itself",
+    )
     size, grid, fine = data.image_size, render.grid, render.fine_grid
     whole = f"data.image_size = {size}, so that masks can be averaged down to it"
     yield "render.grid", size % grid == 0, f"a divisor of {whole}"
@@ -77,19 +82,6 @@ def _list_rules(config):
     )
     yield from _list_system_rules(config)
     yield from _list_signal_rules(config)
-
-
-def _list_folder_rules(config):
-    """Rules of what is done with the models of a folder."""
-    data = config.data
-    has_folder = any(getattr(data, name) for name in SOURCES)
-    is_free = has_folder and not data.test_meshes
-    yield (
-        "data.fold",
-        is_free or not data.fold,
-        "'' unless there is a folder of models (data.meshes, say) that is split by "
-        "seed and tested on itself",
-    )
 
 
 def _list_system_rules(config):

@@ -43,15 +43,6 @@ def to_config_dict(config: Config) -> "ml_collections.ConfigDict":
     return ml_collections.ConfigDict(dataclasses.asdict(config))
 
 
-def from_config_dict(edited: "ml_collections.ConfigDict") -> Config:
-    """The frozen record of an edited config.
-
-    Raises:
-      ValueError: for a field that is not known, or a value of another type.
-    """
-    return from_fields(edited.to_dict())
-
-
 def to_json(config: Config) -> str:
     """The config as the text of WORKDIR/config.json."""
     return json.dumps(dataclasses.asdict(config), indent=2) + "\n"
@@ -61,7 +52,7 @@ def from_fields(values: Any) -> Config:
     """The config of sections of fields; those that it lacks have their defaults.
 
     Raises:
-      ValueError: as `from_config_dict`.
+      ValueError: for a field that is not known, or a value of another type.
     """
     return _read(Config, values, "config")
 

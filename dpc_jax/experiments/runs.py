@@ -10,7 +10,7 @@ from collections.abc import Mapping
 from typing import Any
 
 from dpc_jax import config as configs
-from dpc_jax.config import Config, from_config_dict
+from dpc_jax.config import Config, from_fields
 from dpc_jax.experiments.catalogue import (
     CATEGORIES,
     EXPERIMENTS,
@@ -140,7 +140,7 @@ class Run:
         module = runpy.run_path(str(configs.list_shipped()[self.category]))
         edited = module["get_config"](self.variant or None)
         edited.update_from_flattened_dict({"seed": self.seed} | dict(self.changes))
-        config = from_config_dict(edited)
+        config = from_fields(edited.to_dict())
         configs.check(config)
         return config
 

@@ -54,7 +54,7 @@ def compute_loss(
     of_objects = features.reshape(-1, views, features.shape[-1])
     before = jnp.roll(of_objects, 1, axis=1).reshape(features.shape)
     output: Any = network.apply(params, before, method="predict_shape")
-    kind = find_shape_class(network.shape_kind)
+    kind = find_shape_class(network.shape.kind)
     shapes = kind.read(output, sigma, render=render).drop(keys, stage.kept_points)
     predicted: Any = network.apply(params, features, method="predict_camera")
     cameras = find_cameras(predicted, batch, pose=recipe.pose)

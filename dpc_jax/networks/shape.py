@@ -38,6 +38,7 @@ class ShapeHead(nn.Module):
     scale_fixed: float = 0.0
     point_size: str = ""
     first_size: float = 0.05
+    kind = "points"
 
     @nn.compact
     def __call__(

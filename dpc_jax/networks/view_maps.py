@@ -41,6 +41,7 @@ class ViewMapHead(nn.Module):
     focal_length: float
     distance: float
     normalize: bool = True
+    kind = "maps"
 
     @nn.compact
     def __call__(self, features: jax.Array) -> dict[str, jax.Array]:

@@ -70,6 +70,21 @@ def face_object(azimuths: jax.Array, elevations: jax.Array) -> jax.Array:
     return jnp.stack([less * up, more * up, more * side, -less * side], axis=-1)
 
 
+def list_viewpoints(
+    elevations: tuple[float, float], *, azimuths: int, rings: int
+) -> jax.Array:
+    """Upright cameras [azimuths·rings, 4] that look at the origin from all around.
+
+    Args:
+      elevations: lowest and highest, degrees; rings divide the range evenly.
+    """
+    low, high = (jnp.deg2rad(angle) for angle in elevations)
+    around = 2 * jnp.pi * jnp.arange(azimuths) / azimuths
+    shares = (jnp.arange(rings) + 0.5) / rings
+    grid = jnp.meshgrid(around, low + (high - low) * shares)
+    return face_object(*grid).reshape(-1, 4)
+
+
 def read_elevations(quaternions: jax.Array) -> jax.Array:
     """Elevations [...], radians, of upright cameras [..., 4]; see `face_object`.
 

@@ -40,6 +40,7 @@ class VoxelHead(nn.Module):
     has_color: bool = False
     normalize: bool = True
     is_contained: bool = False
+    kind = "voxels"
 
     @nn.compact
     def __call__(self, features: jax.Array) -> dict[str, jax.Array]:

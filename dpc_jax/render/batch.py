@@ -101,12 +101,12 @@ def project_batch(
         "translations": translations,
         **camera.list_numbers(),
     }
-    shared, own = _sort_inputs(values, batch_size=batch_size)
+    shared, own = sort_inputs(values, batch_size=batch_size)
     checks.check_values(values | {"rotations": rotations})
     own["rotation"] = rotations
     is_whole = ray_rule == "maximum" or "termination" in signals
     if max_blocks is None and not is_whole:
-        max_blocks = _find_room(shared, own, camera.projection, grid, method)
+        max_blocks = find_room(shared, own, camera.projection, grid, method)
     shared["background_depth"] = background_depth
     shared["background_color"] = background_color
     mesh = choose_mesh(devices, batch_size=batch_size)
@@ -146,7 +146,7 @@ def map_renders(function: Callable, inputs: Any, *, renders_at_once: int | None)
     return jax.lax.map(function, inputs, batch_size=renders_at_once)
 
 
-def _sort_inputs(values, *, batch_size):
+def sort_inputs(values, *, batch_size):
     """(what all examples share, what each has of its own), by name; without None."""
     b = batch_size
     points = checks.check_array(
@@ -204,8 +204,12 @@ def _take_camera(values, projection):
     return rest, Camera(**lens)
 
 
-def _find_room(shared, own, projection, grid, method):
-    """Room for the blocks of each example; None where points are not drawn in such."""
+def find_room(shared, own, projection, grid, method, *, spare=1.0):
+    """`max_blocks` of all examples, times `spare`; None for the whole volume.
+
+    Args:
+      shared, own: of `sort_inputs`, own with "rotation", too.
+    """
     sigma = own.get("sigma", shared.get("sigma"))
     # One for all points of an example.
     has_one_size = sigma is not None and jnp.ndim(sigma) == ("sigma" in own)
@@ -213,7 +217,7 @@ def _find_room(shared, own, projection, grid, method):
         return None
     how = {"projection": projection, "grid": grid, "method": method}
     return capacity.count_room(
-        lambda: _count_blocks(shared, own, **how), grid.shape, (shared, own)
+        lambda: spare * _count_blocks(shared, own, **how), grid.shape, (shared, own)
     )
 
 

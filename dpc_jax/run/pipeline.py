@@ -111,7 +111,6 @@ def _open_log(folder: Path, config, job: Job) -> MetricLog:
 def _train(learner: Learner, workdir: Path, log: MetricLog, job: Job) -> loop.Outcome:
     """Train to the last step, or until SIGTERM or Ctrl-C asks to save and stop."""
     checkpoints = Checkpoints(workdir / "checkpoints", job)
-    views = {split: int(data.counts.sum()) for split, data in learner.sets.items()}
     start = _restore_run(learner, checkpoints, log, job)
     with contextlib.closing(checkpoints), catch_signals() as stop:
         if int(start.state.step) >= learner.config.train.steps:
@@ -125,10 +124,8 @@ def _train(learner: Learner, workdir: Path, log: MetricLog, job: Job) -> loop.Ou
             log=log,
             evaluate=learner.validate,
             should_stop=job.agree_to_stop(stop.is_set),
-            may_stop_waiting=job.processes == 1,
             seconds=start.seconds,
             title=f"Training {workdir.name}",
-            validations_after=(views["test"] + views["val"]) / views["val"],
             prepare=functools.partial(
                 compile_predictor, learner.predictor, start.state, learner.config
             ),

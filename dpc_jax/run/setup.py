@@ -8,7 +8,19 @@ from dpc_jax.config.fields import read_fold
 from dpc_jax.data import DataSet, DataSpec, load_or_render
 from dpc_jax.data.splits import SPLITS
 from dpc_jax.files import explaining_full_disk
-from dpc_jax.networks import ShapePoseNetwork
+from dpc_jax.networks import (
+    ImageEncoder,
+    PoseEnsemble,
+    PoseStudent,
+    ShapeHead,
+    ShapePoseNetwork,
+)
+from dpc_jax.networks.pose import (
+    FOCAL_RANGE,
+    TRANSLATION_RANGE,
+    BoundedHead,
+    PoseSelector,
+)
 
 # Visible points of a shape that is predicted, and of one that is tested: with so many
 # the distance to the nearest one is that to the surface.
@@ -21,40 +33,84 @@ _SHARED = (  # fields of `Data` that a `DataSpec` has under the same name
 
 def make_network(config: Config) -> ShapePoseNetwork:
     """The network; what is not learned has no parameters."""
-    layers = config.network.layers
+    pose, layers, hidden = config.pose, config.network.layers, config.network.hidden
+    blocks = 3 if layers == "paper" else 0  # 7 convolutions at every size
+    slope = 0.0 if layers == "released" else 0.2
+    encoder = ImageEncoder(config.network.channels, hidden, not layers, blocks)
+    student_layers = hidden, 32 if layers else 256, slope
+    student, extras = None, {}
+    if pose.learned_heads > 1:
+        student = PoseStudent(*student_layers)
+        if pose.choices:
+            student = PoseSelector(pose.choices, *student_layers)
+    if pose.source == "sampled":
+        from dpc_jax.networks.viewpoints import PoseJudge  # where asked
+
+        extras = {"pose_encoder": encoder.clone(), "judge": PoseJudge()}
+    if pose.translation:
+        extras["translation"] = BoundedHead(outputs=3, bound=TRANSLATION_RANGE)
+    if pose.focal_length:
+        extras["focal"] = BoundedHead(outputs=1, bound=FOCAL_RANGE)
     return ShapePoseNetwork(
-        num_points=config.render.num_points,
-        num_heads=config.pose.learned_heads,
-        channels=config.network.channels,
-        hidden=config.network.hidden,
-        shape_hidden=config.network.shape_hidden,
-        normalize=not layers,
-        num_classes=config.pose.choices,
-        student_width=32 if layers else 256,
-        has_color=config.train.color_weight > 0,
-        sees_mask=config.network.sees_mask,
+        encoder=encoder,
+        shape=_make_shape_head(config),
+        pose=_make_pose_heads(config, slope) if pose.learned_heads else None,
+        student=student,
+        focal_length=config.render.focal_length,
         is_tinted=not config.train.colors_move_points
         and config.train.color_weight > 0
         and config.network.shape == "points",
+        sees_mask=config.network.sees_mask,
+        **extras,
+    )
+
+
+def _make_shape_head(config):
+    network, render = config.network, config.render
+    has_color = config.train.color_weight > 0
+    if network.shape == "voxels":
+        from dpc_jax.networks.voxels import VoxelHead  # of baselines alone
+
+        return VoxelHead(
+            side=render.grid,
+            has_color=has_color,
+            normalize=not network.layers,
+            # Given poses carve the corners away by themselves, upright ones of MVC too.
+            is_contained=config.pose.source == "unknown",
+        )
+    if network.shape == "maps":
+        from dpc_jax.networks.view_maps import ViewMapHead  # of a baseline
+
+        return ViewMapHead(
+            side=render.grid,
+            focal_length=render.focal_length,
+            distance=render.distance,
+            normalize=not network.layers,
+        )
+    return ShapeHead(
+        num_points=render.num_points,
+        hidden=network.shape_hidden,
+        has_color=has_color,
+        scale_fixed=render.scale_fixed,
+        point_size=network.point_size,
+        first_size=render.sigma_start,
+    )
+
+
+def _make_pose_heads(config, slope):
+    count, hidden = config.pose.learned_heads, config.network.hidden
+    if config.pose.elevations:
+        from dpc_jax.networks.viewpoints import ViewpointEnsemble  # where asked
+
+        return ViewpointEnsemble(count, config.pose.elevations, hidden, slope)
+    return PoseEnsemble(
+        num_heads=count,
+        hidden=hidden,
         # Heads that are several start spread over SO(3); not in the paper.
-        spreads=not layers and config.pose.learned_heads > 1,
-        blocks=3 if layers == "paper" else 0,  # 7 convolutions at every size
+        spreads=not config.network.layers and count > 1,
         # A single regressor is the paper's naive one, without layers of its own.
-        head_layers=2 if config.pose.learned_heads > 1 else 0,
-        pose_slope=0.0 if layers == "released" else 0.2,
-        scale_fixed=config.render.scale_fixed,
-        point_size=config.network.point_size,
-        first_size=config.render.sigma_start,
-        has_translation=config.pose.translation,
-        focal_length=config.render.focal_length * config.pose.focal_length,
-        shape_kind=config.network.shape,
-        grid=config.render.grid,
-        # Given poses carve the corners away by themselves, upright ones of MVC do too.
-        contains_voxels=config.pose.source == "unknown",
-        map_focal_length=config.render.focal_length,
-        map_distance=config.render.distance,
-        viewpoints=config.pose.elevations,
-        samples_poses=config.pose.source == "sampled",
+        layers=2 if count > 1 else 0,
+        slope=slope,
     )
 
 

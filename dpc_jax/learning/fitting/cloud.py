@@ -1,6 +1,5 @@
 """A cloud and the cameras of its views as they are learned, and what they look like."""
 
-import functools
 from collections.abc import Mapping
 from typing import Any, NamedTuple
 
@@ -10,9 +9,8 @@ import jax.numpy as jnp
 from dpc_jax.learning.shapes.kind import View, place_view, sum_views
 from dpc_jax.learning.shapes.points import Points
 from dpc_jax.learning.signals import Weights
-from dpc_jax.render import Camera, VoxelGrid
+from dpc_jax.render import Camera
 from dpc_jax.render.batch import map_renders
-from dpc_jax.render.blocks import capacity
 
 # By its gradient shapes and poses are better than by the trilinear one (docs/log.md).
 METHOD = "quadratic"
@@ -48,12 +46,6 @@ class Cloud(NamedTuple):
         """() of each point, in voxels of a grid of that side."""
         share = _POINTS / self.points.shape[0] * (side / BASE_SIDE) ** 3
         return jnp.exp(self.log_mass) * share
-
-    def make_scene(self, sigma: jax.Array | float, side: int) -> dict[str, jax.Array]:
-        """What `Points` render in a grid of that side."""
-        scene: dict[str, Any] = {"points": self.points, "sigma": sigma}
-        scene |= {"mass": self.find_mass(side)}
-        return scene if self.colors is None else scene | {"colors": self.colors}
 
     def list_views(self, camera: Camera) -> dict[str, jax.Array]:
         """What each view has of its own, by name, [V, ...]."""
@@ -109,11 +101,12 @@ def compare_views(
     side = targets["silhouette"].shape[-1]
     views, images = take_views((cloud.list_views(camera), dict(targets)), chosen)
     count = len(views["rotation"])
-    scene = jax.tree.map(
-        lambda array: jnp.broadcast_to(array, (count, *jnp.shape(array))),
-        cloud.make_scene(sigma, side),
-    )
-    given = {"images": images, "sigma": jax.lax.stop_gradient(scene.pop("sigma"))}
+    one = {"points": cloud.points, "mass": cloud.find_mass(side)}
+    if cloud.colors is not None:
+        one["colors"] = cloud.colors
+    scene = jax.tree.map(lambda a: jnp.broadcast_to(a, (count, *a.shape)), one)
+    sigma = jax.lax.stop_gradient(jnp.broadcast_to(sigma, count))
+    given = {"images": images, "sigma": sigma}
 
     def compare(learned, given):
         view = place(learned["view"], camera, side, max_blocks)
@@ -131,46 +124,6 @@ def take_views(entries: Any, chosen: jax.Array | None) -> Any:
     return jax.tree.map(lambda array: array[chosen], entries)
 
 
-@functools.partial(jax.jit, static_argnames="side")
-def count_blocks(
-    cloud: Cloud, *, sigma: jax.Array | float, side: int, camera: Camera
-) -> jax.Array:
-    """The most blocks that a view touches in a grid of that side, ()."""
-
-    def count(own):
-        view = place(own, camera, side)
-        return capacity.count_blocks(
-            cloud.points,
-            view.rotation,
-            sigma=sigma,
-            translation=view.translation,
-            camera=view.camera,
-            grid=VoxelGrid(side),
-            method=METHOD,
-        )
-
-    return jnp.max(jax.lax.map(count, cloud.list_views(camera)))
-
-
-@functools.partial(jax.jit, static_argnames=("side", "max_blocks"))
-def render_all(
-    cloud: Cloud,
-    *,
-    sigma: jax.Array | float,
-    side: int,
-    camera: Camera,
-    max_blocks: int | None = None,
-) -> jax.Array:
-    """Silhouettes of all views [V, side, side]."""
-    scene = cloud.make_scene(sigma, side)
-
-    def render(view):
-        view = place(view, camera, side, max_blocks)
-        return Points.render(scene, view, signals=("silhouette",)).silhouette
-
-    return map_renders(render, cloud.list_views(camera), renders_at_once=None)
-
-
 def find_losses(
     cloud: Cloud,
     candidates: jax.Array,
@@ -185,7 +138,7 @@ def find_losses(
       candidates: [K, 4] quaternions, the same for all views. silhouettes: [V, D, D].
     """
     side = silhouettes.shape[-1]
-    scene = jax.lax.stop_gradient(cloud.make_scene(sigma, side))
+    scene = {"points": cloud.points, "mass": cloud.find_mass(side), "sigma": sigma}
 
     def compare(candidate):
         view = View(candidate, camera, side)

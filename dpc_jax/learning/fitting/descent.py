@@ -8,11 +8,12 @@ import jax
 import jax.numpy as jnp
 import optax
 
+from dpc_jax.learning.cameras import place_camera
 from dpc_jax.learning.fitting import FitSettings
 from dpc_jax.learning.fitting.cloud import (
+    METHOD,
     Cloud,
     compare_views,
-    count_blocks,
     place,
     take_views,
 )
@@ -24,7 +25,7 @@ from dpc_jax.learning.losses import (
 )
 from dpc_jax.learning.signals import Weights, average_blocks
 from dpc_jax.render import Camera, VoxelGrid, quaternion
-from dpc_jax.render.blocks import capacity
+from dpc_jax.render.batch import find_room, sort_inputs
 
 CHUNK = 10  # steps of one call
 COARSE_UP_TO = 128  # side of images up to which a step sees all views
@@ -34,12 +35,6 @@ _FINER_RATE = 0.4  # learning rate of a side over that of the one before
 _COARSE_END = 1.25  # size of points at the end of a coarser side over that of the last
 _REPELLED = 600  # points that repel each other in a step
 _COLOR_SHARE = 5.0  # rate of colours' logits, which have several units to go
-# What is learned of cameras, and the field of `Cloud` that has it.
-_CAMERAS = {
-    "rotations": "rotations",
-    "translations": "translations",
-    "focal_lengths": "log_focal",
-}
 
 
 class Stage(NamedTuple):
@@ -77,7 +72,7 @@ def descend(
     state = _make_optimizer(stage).init(parameters)
     side = silhouettes.shape[-1]
     sigma = _find_sigma(stage, jnp.zeros(()))
-    room = find_room(cloud, sigma, side, camera, spare=_SPARE)
+    room = _find_room(cloud, sigma, side, camera)
     for first in range(0, stage.steps, CHUNK):
         inputs = cloud, state, jnp.asarray(first), targets, outside, camera
         moved = _advance(*inputs, stage=stage, max_blocks=room)
@@ -89,16 +84,17 @@ def descend(
     return cloud
 
 
-def find_room(
-    cloud: Cloud, sigma, side: int, camera: Camera, *, spare: float = 1.0
-) -> int | None:
-    """`max_blocks` for all views, times `spare`; None for the whole volume."""
+def _find_room(cloud: Cloud, sigma, side: int, camera: Camera) -> int | None:
+    """`max_blocks` for all views, some to spare; None for the whole volume."""
     if side <= COARSE_UP_TO:  # where points start wide, and programs cost more
         return None
-    how = {"sigma": sigma, "side": side, "camera": camera}
-    return capacity.count_room(
-        lambda: spare * count_blocks(cloud, **how), VoxelGrid(side).shape, cloud.points
-    )
+    seen = place_camera(camera, cloud.list_views(camera))
+    values = {"points": cloud.points, "sigma": sigma, **seen.list_numbers()}
+    values |= {"translations": cloud.translations}
+    shared, own = sort_inputs(values, batch_size=len(cloud.rotations))
+    own["rotation"] = cloud.rotations
+    how = camera.projection, VoxelGrid(side), METHOD
+    return find_room(shared, own, *how, spare=_SPARE)
 
 
 def _make_optimizer(stage: Stage) -> optax.GradientTransformation:
@@ -113,13 +109,12 @@ def _make_optimizer(stage: Stage) -> optax.GradientTransformation:
         begun = 1.0 if stage.number else jnp.clip(5 * step / steps - 1.5, 0, 1)
         return settings.camera_share[min(stage.number, 1)] * begun * rate(step)
 
-    learned = {_CAMERAS[name] for name in stage.learn}
+    # A cloud has the others of its cameras only where they are learned.
+    kinds = {"rotations": "camera" if "rotations" in stage.learn else "given"}
+    kinds |= {"translations": "camera", "log_focal": "camera", "color_logits": "colors"}
 
     def label(path, _):
-        field = path[0].name
-        if field in _CAMERAS.values():
-            return "camera" if field in learned else "given"
-        return "colors" if field == "color_logits" else "cloud"
+        return kinds.get(path[0].name, "cloud")
 
     return optax.multi_transform(
         {

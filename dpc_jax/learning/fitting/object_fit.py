@@ -14,18 +14,21 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
+from dpc_jax.learning.cameras import place_camera
 from dpc_jax.learning.fitting import LEARNED
 from dpc_jax.learning.fitting import FitSettings as FitSettings
-from dpc_jax.learning.fitting.cloud import (
-    Cloud,
-    make_shell,
-    render_all,
-    split_points,
-)
-from dpc_jax.learning.fitting.descent import COARSE_UP_TO, Stage, descend, find_room
+from dpc_jax.learning.fitting.cloud import METHOD, Cloud, make_shell, split_points
+from dpc_jax.learning.fitting.descent import COARSE_UP_TO, Stage, descend
 from dpc_jax.learning.fitting.pose_search import COARSE, FINE, search_poses
 from dpc_jax.learning.signals import Weights, make_targets
-from dpc_jax.render import Camera, arguments, checks, quaternion
+from dpc_jax.render import (
+    Camera,
+    VoxelGrid,
+    arguments,
+    checks,
+    project_batch,
+    quaternion,
+)
 
 _COARSEST = 64  # side of the first images; larger ones are halved down to it
 _FINEST = 512  # of the last; finer ones have not been tried
@@ -256,11 +259,21 @@ def _begin(rotations, key, settings, learn, *, has_colors) -> Cloud:
 def _finish(cloud: Cloud, silhouettes, settings, camera, curve) -> Fit:
     """Render what was found beside what was given."""
     side, sigma = settings.sides[-1], settings.sigma[1]
-    room = find_room(cloud, sigma, side, camera)
-    how = {"sigma": sigma, "side": side, "camera": camera, "max_blocks": room}
-    rendered = np.asarray(render_all(cloud, **how))
-    true, found = np.asarray(silhouettes) >= 0.5, rendered >= 0.5
     views = cloud.list_views(camera)
+    image: Any = project_batch(
+        cloud.points,
+        cloud.rotations,
+        sigma=sigma,
+        scale=cloud.find_mass(side),
+        translations=cloud.translations,
+        camera=place_camera(camera, views),
+        grid=VoxelGrid(side),
+        method=METHOD,
+        # Of coarse images the whole volume, whose program costs less.
+        max_blocks=side**3 if side <= COARSE_UP_TO else None,
+    ).silhouette
+    rendered = np.asarray(image)
+    true, found = np.asarray(silhouettes) >= 0.5, rendered >= 0.5
 
     def read(array):
         return None if array is None else np.asarray(array)

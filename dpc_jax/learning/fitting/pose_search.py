@@ -22,7 +22,7 @@ import optax
 from dpc_jax.learning.fitting import FitSettings
 from dpc_jax.learning.fitting.cloud import Cloud, compare_views, find_losses
 from dpc_jax.learning.signals import SILHOUETTES, make_targets
-from dpc_jax.networks.viewpoints import face_object
+from dpc_jax.networks.viewpoints import list_viewpoints
 from dpc_jax.render import Camera
 
 _STEPS = 5  # of the cloud in a round
@@ -74,7 +74,9 @@ def search_poses(
 
     def search(level, points, log_mass, key, rounds):
         targets = make_targets(views, level.side, signals=names, distance=distance)
-        viewpoints = list_viewpoints(settings.elevations, level)
+        viewpoints = list_viewpoints(
+            settings.elevations, azimuths=level.azimuths, rings=level.rings
+        )
         rotations = jnp.broadcast_to(viewpoints[0], (len(views["masks"]), 4))
         return _search(
             Cloud(points, log_mass, None, rotations, None, None),
@@ -103,18 +105,6 @@ def search_poses(
     last, _ = search(FINE, chosen + spread, best.log_mass, own, rounds)
     tell(what, searches + 1, searches + 1)
     return np.asarray(last.rotations)
-
-
-def list_viewpoints(elevations: tuple[float, float], level: Level) -> jax.Array:
-    """Upright cameras [azimuths·rings, 4] that look at the origin from all around.
-
-    Args:
-      elevations: lowest and highest, degrees.
-    """
-    low, high = (jnp.deg2rad(angle) for angle in elevations)
-    around = jnp.arange(level.azimuths) * 2 * jnp.pi / level.azimuths
-    height = low + (high - low) * (jnp.arange(level.rings) + 0.5) / level.rings
-    return face_object(*(g.ravel() for g in jnp.meshgrid(around, height)))
 
 
 def _search(

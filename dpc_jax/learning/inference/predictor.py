@@ -125,7 +125,7 @@ def make_predictor(
 def _predict_all(network, images):
     """All that the network predicts of images, and the codes of their shapes."""
     features = network.encode(images)
-    codes = features[:, : network.hidden]
+    codes = features[:, : network.encoder.hidden]
     if network.is_tinted:
         codes = jnp.concatenate([codes, features[:, -TINT:]], axis=1)
     poses = network.predict_pose(features) | network.predict_camera(features)

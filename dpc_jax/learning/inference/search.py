@@ -12,7 +12,7 @@ from dpc_jax.learning.inference.explanation import (
     weigh_finest,
 )
 from dpc_jax.learning.shapes.kind import Scene
-from dpc_jax.networks.viewpoints import face_object, read_elevations
+from dpc_jax.networks.viewpoints import list_viewpoints, read_elevations
 from dpc_jax.render import quaternion
 
 FINALISTS = 3  # poses of a view that are compared in the finest grid
@@ -42,11 +42,8 @@ def add_viewpoints(
       base: what the view shows in the base grid.
     """
     limits = config.pose.elevation_low, config.pose.elevation_high
-    low, high = (jnp.deg2rad(angle) for angle in limits)
-    azimuths = 2 * jnp.pi * jnp.arange(AZIMUTHS) / AZIMUTHS
-    shares = (jnp.arange(ELEVATIONS) + 0.5) / ELEVATIONS
-    views = face_object(*jnp.meshgrid(azimuths, low + (high - low) * shares))
-    views = views.reshape(-1, 4).astype(candidates.dtype)
+    views = list_viewpoints(limits, azimuths=AZIMUTHS, rings=ELEVATIONS)
+    views = views.astype(candidates.dtype)
     losses = rank_poses(scene, views, base, config=config)
     views = views[_find_peaks(views, -losses, FINALISTS)]
     chances = jnp.full(FINALISTS, UNSEEN, probabilities.dtype)

@@ -112,7 +112,7 @@ def judge_poses(
       quaternions: [n, 4], of any length but zero. keys: [n], of the views.
     """
     own = jax.vmap(functools.partial(jax.random.fold_in, data=2))(keys)
-    draw = functools.partial(_draw_prior, elevations=network.viewpoints)
+    draw = functools.partial(_draw_prior, elevations=network.pose.elevations)
     drawn, signs = jax.vmap(draw)(own)
     length = jnp.linalg.norm(quaternions, axis=-1, keepdims=True)
     # q and -q are one pose: neither sign may give it away.

@@ -299,23 +299,15 @@ def sum_views(
     render, while the volume is in the processor's cache: so no volume is kept for a
     backward pass over the batch.
     """
-    return _sum_entries(*_map_views(compare, renders_at_once, learned, given))
-
-
-def _map_views(function, renders_at_once, *inputs):
-    return map_renders(
-        lambda view: function(*view), inputs, renders_at_once=renders_at_once
-    )
-
-
-def _sum_entries(costs: jax.Array, terms: Any) -> Any:
-    return jnp.sum(costs), jax.tree.map(jnp.sum, terms), costs
+    return _sum_views_forward(compare, renders_at_once, learned, given)[0]
 
 
 def _sum_views_forward(compare, renders_at_once, learned, given):
     call = jax.value_and_grad(compare, has_aux=True)
-    result, gradient = _map_views(call, renders_at_once, learned, given)
-    return _sum_entries(*result), gradient
+    (costs, terms), gradient = map_renders(
+        lambda view: call(*view), (learned, given), renders_at_once=renders_at_once
+    )
+    return (jnp.sum(costs), jax.tree.map(jnp.sum, terms), costs), gradient
 
 
 def _sum_views_backward(compare, renders_at_once, gradient, cotangent):

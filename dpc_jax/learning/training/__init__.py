@@ -1,1 +1,1 @@
-"""What runs training: loop, compiled programs, records, checkpoints, time left."""
+"""What runs training: loop, compiled programs, records, checkpoints."""

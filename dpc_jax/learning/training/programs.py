@@ -11,6 +11,7 @@ import threading
 from collections.abc import Callable, Sequence
 from concurrent.futures import Future, ThreadPoolExecutor
 from concurrent.futures import TimeoutError as NotDone
+from contextlib import AbstractContextManager
 from typing import Any
 
 import jax
@@ -66,6 +67,7 @@ class StagePrograms:
         batch: Any,
         *,
         should_stop: Callable[[], bool] = lambda: False,
+        waiting: Callable[[], AbstractContextManager] = contextlib.nullcontext,
     ) -> Program | None:
         """Wait for the program of a stage's first step; those after it compile on.
 
@@ -73,6 +75,7 @@ class StagePrograms:
           step: the first one of a stage, or of a resumed run.
           state, batch: of that step; their shapes, dtypes and shardings are compiled.
           should_stop: asked while it waits.
+          waiting: a context to wait in, unless the program is there already.
 
         Returns:
           The program; None where it was asked to stop.
@@ -83,6 +86,7 @@ class StagePrograms:
         stage = self._find_stage(step)
         structs = jax.tree.map(_describe, (state, batch))
         own = self._pending.pop(stage, None)
+        is_ready = own is not None and own.done()
         if own is None or own.cancel():  # not begun: nothing to wait behind
             front = _start_thread()
             own = front.submit(self._compile, stage, structs)
@@ -91,17 +95,13 @@ class StagePrograms:
             if span.start > step and span.stage not in self._pending:
                 later = self._background.submit(self._compile, span.stage, structs)
                 self._pending[span.stage] = later
-        while not should_stop():
-            with contextlib.suppress(NotDone):
-                self._program = own.result(timeout=_POLL_SECONDS)
-                self._stage = stage
-                return self._program
+        with contextlib.nullcontext() if is_ready else waiting():
+            while not should_stop():
+                with contextlib.suppress(NotDone):
+                    self._program = own.result(timeout=_POLL_SECONDS)
+                    self._stage = stage
+                    return self._program
         return None
-
-    def is_ready(self, step: int) -> bool:
-        """Whether the program of a step is compiled, so that nobody waits for it."""
-        pending = self._pending.get(self._find_stage(step))
-        return pending is not None and pending.done()
 
     def run_ahead(self, function: Callable[[], Any]):
         """Have another function run in the background, after what waits there."""

@@ -6,7 +6,6 @@ import json
 import math
 import os
 import time
-from collections.abc import Iterator
 from pathlib import Path
 
 import jax
@@ -31,43 +30,33 @@ class NonFiniteError(RuntimeError):
     """Training met a loss or gradient that is not finite, or a loss that grows."""
 
 
-class Stopwatch:
-    """Seconds of training, over all starts of a run; pauses do not count."""
-
-    def __init__(self, seconds: float = 0.0):
-        self._started = time.monotonic() - seconds
-
-    @property
-    def seconds(self) -> float:
-        """Seconds until now."""
-        return time.monotonic() - self._started
-
-    @contextlib.contextmanager
-    def paused(self) -> Iterator[None]:
-        """Pause the clock inside the context."""
-        before = time.monotonic()
-        try:
-            yield
-        finally:
-            self._started += time.monotonic() - before
-
-
 class Window:
     """The steps since the last record; their losses are checked by `check_step`.
 
     Args:
-      step: steps done before the first one. seconds: of training until then.
+      step: steps done before the first one. seconds: of training until then, over all
+        starts of a run.
       heads: K, whose shares of the winners are recorded; 0 where poses are known.
     """
 
     def __init__(self, step: int, seconds: float, *, heads: int):
         self._heads = heads
         self._first: float | None = None  # loss
+        self.set_clock(seconds)
         self._open(step, seconds)
 
     def _open(self, step, seconds):
         self._step, self._seconds, self._waited = step, seconds, 0.0
         self._metrics: list[dict] = []
+
+    @property
+    def seconds(self) -> float:
+        """Of training until now."""
+        return time.monotonic() - self._started
+
+    def set_clock(self, seconds: float):
+        """Set the clock, as after a validation, which is no training."""
+        self._started = time.monotonic() - seconds
 
     @property
     def is_empty(self) -> bool:
@@ -82,14 +71,9 @@ class Window:
         self.check()
         self._metrics.append(metrics)
 
-    @contextlib.contextmanager
-    def waiting(self) -> Iterator[None]:
-        """Count the time inside the context as compilation, not as that of steps."""
-        started = time.monotonic()
-        try:
-            yield
-        finally:
-            self._waited += time.monotonic() - started
+    def add_waiting(self, seconds: float):
+        """Count seconds until now as compilation, not as those of steps."""
+        self._waited += seconds
 
     def check(self):
         """Check the last step too."""
@@ -99,18 +83,15 @@ class Window:
             if self._first is None:
                 self._first = float(metrics["loss"])
 
-    def close(self, seconds: float) -> dict:
+    def close(self) -> dict:
         """The record of the window; a new window starts.
 
         Its `seconds` are all that training has taken so far; where some of the window
         were waited for compilation they are its `compile_seconds`, and
         `steps_per_second` does without them.
-
-        Args:
-          seconds: of training until now.
         """
         self.check()
-        done = self._step + len(self._metrics)
+        seconds, done = self.seconds, self._step + len(self._metrics)
         stepping = seconds - self._seconds - self._waited
         rate = len(self._metrics) / max(stepping, 1e-9)
         record = {"step": done, "seconds": round(seconds, 3)}

@@ -77,7 +77,7 @@ def predict_objects(
             directions = _measure_directions(run)
             masks = np.concatenate([one.fine_masks for one in found])
         else:
-            directions = np.zeros((0, run.network.hidden), np.float32)
+            directions = np.zeros((0, run.network.encoder.hidden), np.float32)
             masks = np.concatenate([one.masks for one in found])
         _join_and_refine(predicted, predictions, masks, run, directions)
     for place, one in enumerate(predicted):
@@ -180,7 +180,7 @@ def _measure_directions(run: TrainedNetwork) -> np.ndarray:
 
     predictor = make_predictor(run.network, run.config)
     validated = predict_all(predictor, run.state, load_split(run, "val"))
-    return find_directions(validated.codes[..., : run.network.hidden])
+    return find_directions(validated.codes[..., : run.network.encoder.hidden])
 
 
 def _join_and_refine(
