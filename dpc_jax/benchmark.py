@@ -62,9 +62,7 @@ def list_tasks(
     turns = {"rounds": plan.rounds}
     if part == "speed":
         peers = speed.compare_with_peers
-        tasks = [(str(case), partial(peers, case, **turns)) for case in plan.cases]
-        sizes = partial(speed.compare_sizes, plan.sized, **turns)
-        return [*tasks, ("a sigma per point", sizes)]
+        return [(str(case), partial(peers, case, **turns)) for case in plan.cases]
     if part == "sizes":
         volumes = partial(speed.compare_volumes, **turns)
         return [

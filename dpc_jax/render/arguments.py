@@ -23,15 +23,11 @@ def convert_scene(
     translation: ArrayLike | None,
 ) -> tuple[jax.Array, jax.Array | None, jax.Array, jax.Array | None, jax.Array | None]:
     """Convert to the dtype of the points [N, 3] what places them; None stays None."""
-    if covariance is None and sigma is None:
+    if (covariance is None) == (sigma is None):
+        came = "none" if sigma is None else "both"
         raise ValueError(
-            "a point must have a size, but both sigma and covariance are None; pass "
-            "sigma in voxels, () or [N], or covariance [N, 3, 3] in voxels²."
-        )
-    if covariance is not None and sigma is not None:
-        raise ValueError(
-            "a point must have one size, but both sigma and covariance came; pass "
-            "sigma=None with a covariance."
+            f"one of sigma and covariance must be given, but {came} came; pass sigma, "
+            "() or [N] in voxels, or sigma=None with a covariance [N, 3, 3] in voxels²."
         )
     count = points.shape[0]
     sizes = {"sigma": sigma, "scale": scale, "covariance": covariance}

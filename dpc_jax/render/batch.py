@@ -23,7 +23,6 @@ _SIZES = (
 _SHARED = "leave out the first axis of what all examples share"
 
 
-@checks.refusing_forward_mode
 def project_batch(
     points: jax.Array,
     rotations: jax.Array,

@@ -1,11 +1,10 @@
 """Refusing wrong arguments: a ValueError says what was expected and what came."""
 
-import functools
 import math
 import numbers
 import os
 from collections.abc import Callable, Mapping, Sequence
-from typing import Any, NamedTuple, ParamSpec, TypeVar
+from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
@@ -13,8 +12,6 @@ import numpy as np
 from jax.core import Tracer
 from jax.typing import ArrayLike, DTypeLike
 
-_P = ParamSpec("_P")
-_T = TypeVar("_T")
 _SEVERAL = "use jax.vmap over several"
 # Largest difference of RᵀR from the identity that is taken for rounding: bfloat16, and
 # products on a GPU that rounds to TF32, have such.
@@ -186,29 +183,6 @@ _RULES = {
     "center": _Rule(1, _are_finite, "finite", "take the middle of the object"),
     "radius": _Rule(0, _are_positive, _NUMBER, "take half the width of the cube"),
 }
-
-
-def refusing_forward_mode(render: Callable[_P, _T]) -> Callable[_P, _T]:
-    """Decorate a render: where forward mode is asked for, say what to do instead.
-
-    Where all of it is inside of `jax.jit`, JAX's own sentence is what remains.
-    """
-
-    @functools.wraps(render)
-    def call(*args: _P.args, **kwargs: _P.kwargs) -> _T:
-        try:
-            return render(*args, **kwargs)
-        except TypeError as error:
-            if "forward-mode" not in str(error):
-                raise
-            raise TypeError(
-                "A render has derivatives in reverse mode (jax.grad, jax.vjp, "
-                "jax.jacrev), but forward mode came (jax.jvp, jax.jacfwd, "
-                "jax.hessian); take jax.jacrev twice for second derivatives, which the "
-                "method 'trilinear' has."
-            ) from error
-
-    return call
 
 
 def check_room(name: str, shape: Sequence[int], dtype: DTypeLike) -> None:

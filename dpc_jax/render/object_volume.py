@@ -18,7 +18,6 @@ from dpc_jax.render.projection import Projection, project_signals
 _IN_BOUNDS = "promise_in_bounds"
 
 
-@checks.refusing_forward_mode
 def project_volume(
     volume: jax.Array,
     rotation: jax.Array,

@@ -14,7 +14,7 @@ import chex
 import jax
 import jax.numpy as jnp
 
-from dpc_jax.render import arguments, checks, termination
+from dpc_jax.render import arguments, termination
 from dpc_jax.render.blocks import capacity
 from dpc_jax.render.blocks.rays import render_blocks
 from dpc_jax.render.camera import Camera, VoxelGrid
@@ -45,7 +45,6 @@ class Projection:
     background: jax.Array | None = None
 
 
-@checks.refusing_forward_mode
 def project(
     points: jax.Array,
     rotation: jax.Array,
@@ -236,7 +235,6 @@ def _divide_jvp(primals, tangents):
     return quotient, (tangents[0] - quotient * tangents[1]) / density
 
 
-@checks.refusing_forward_mode
 def voxelize(
     points: jax.Array,
     rotation: jax.Array,

@@ -22,7 +22,6 @@ from dpc_jax.measure.timing import measure_medians
 from dpc_jax.render import VoxelGrid, project
 
 _MASS_SIDE = 64  # scenes give their mass for a grid of this many cells a side
-ERRORS = ("error", "error_same_grid")  # ends of their names in a record
 # Name, method and dtype.
 FAMILIES = (
     ("trilinear", "trilinear", "float32"),
@@ -54,10 +53,8 @@ def measure_scene(
     """Errors and run times of all settings on one scene, which take turns.
 
     Sigma is in voxels of the plan's base grid. The record of a setting holds its errors
-    against the fine reference and against the exact result on its own grid, and the
-    seconds of the image and of image and gradient.
+    against the fine reference, and the seconds of the image and of image and gradient.
     """
-    side = plan.reference_side
     target = _compute_target(scene, sigma, plan)
     calls = {s.label: _prepare(scene, sigma, s, plan, target) for s in settings}
     times = {
@@ -68,18 +65,14 @@ def measure_scene(
         )
         for i, kind in enumerate(("image", "gradient"))
     }
-    exact = {
-        n: _compute_exact(scene, sigma, n, plan, target)
-        for n in {side, *(s.side for s in settings)}
-    }
+    exact = _compute_exact(scene, sigma, plan, target)
     records = []
     for setting in settings:
         image, (gradient, _) = (call() for call in calls[setting.label])
         record: dict[str, Any] = {"scene": scene.name, "sigma": sigma}
         record |= {"family": setting.family, "setting": setting.label}
         for kind, found in (("image", image), ("gradient", gradient)):
-            for name, n in zip(ERRORS, (side, setting.side), strict=True):
-                record[f"{kind}_{name}"] = measure_distance(found, exact[n][kind])
+            record[f"{kind}_error"] = measure_distance(found, exact[kind])
             record[f"{kind}_seconds"] = times[kind][setting.label]
         records.append(record)
     return records
@@ -115,9 +108,9 @@ def _make_programs(method, side, blocks):
     return jax.jit(render), jax.jit(jax.grad(compute_loss, has_aux=True))
 
 
-def _compute_exact(scene, sigma, side, plan, target) -> dict[str, np.ndarray]:
+def _compute_exact(scene, sigma, plan, target) -> dict[str, np.ndarray]:
     """Image [C, C] and gradient [N, 3] of the gaussian method in float64."""
-    setting = Setting("exact", "gaussian", "float64", side)
+    setting = Setting("exact", "gaussian", "float64", plan.reference_side)
     _, call = _prepare(scene, sigma, setting, plan, target)
     gradient, image = call()
     return {"image": np.asarray(image), "gradient": np.asarray(gradient)}
@@ -138,7 +131,7 @@ def take_scenes_together(records: list[dict]) -> list[dict]:
         groups.setdefault((record["sigma"], record["setting"]), []).append(record)
     together = []
     for group in groups.values():
-        names = [name for name in group[0] if name.endswith(("seconds", *ERRORS))]
+        names = [name for name in group[0] if name.endswith(("seconds", "error"))]
         medians = {n: float(np.median([r[n] for r in group])) for n in names}
         together.append(group[0] | medians)
     return together

@@ -25,7 +25,6 @@ class Plan:
 
     rounds: int  # of each measurement; medians are reported
     cases: tuple[Case, ...]  # of the speed table
-    sized: Case  # of a sigma per point
     # Surfaces in the whole volume and in blocks, and which signals are rendered.
     sizes: tuple[tuple[Case, tuple[str, ...]], ...]
     scene_points: int  # of the dense scenes
@@ -40,7 +39,6 @@ class Plan:
 FULL = Plan(
     rounds=7,
     cases=(Case(16, 8000, 64, 3), Case(16, 2000, 32, 1.6), Case(4, 16000, 128, 3)),
-    sized=Case(1, 8000, 64, 1.3),
     sizes=(
         (Case(1, 4000, 64, 0.5), ("silhouette",)),
         (Case(1, 16_000, 128, 0.8), ("silhouette",)),
@@ -62,7 +60,6 @@ FULL = Plan(
 QUICK = Plan(
     rounds=3,
     cases=(Case(2, 500, 16, 1.5),),
-    sized=Case(1, 500, 16, 1.3),
     sizes=((Case(1, 500, 32, 0.6), ("silhouette",)),),
     scene_points=500,
     sparse_points=500,

@@ -60,7 +60,7 @@ def _write_speed(out, results) -> list[str]:
         "*gradient*: largest relative L2 difference among the gradients from the first "
         "call of the same work. "
         f"`project_batch` on {count} device{'s' * (count != 1)}; *PyTorch* does a "
-        "batch at once. A sigma per point: of 0.7 to 2.5 voxels.",
+        "batch at once.",
     ]
 
 
@@ -98,9 +98,8 @@ def _write_error(out, results) -> list[str]:
         f"Relative L2 errors against the gaussian method in float64 on {fine} cells, "
         "for the image (in blocks of the coarsest grid's pixels) and for the gradient "
         "to the points of its squared difference from another pose's image: medians "
-        f"over four scenes. σ is in voxels of {results['base_side']}³. *Same grid*: "
-        "against the exact result on the setting's own grid, which leaves the "
-        "method's own error. Times are for one sample.",
+        f"over four scenes. σ is in voxels of {results['base_side']}³. Times are for "
+        "one sample.",
         "![Error against run time](error.png)",
         "Medians over all σ (largest in brackets):",
         _tabulate_settings(records),
@@ -113,12 +112,11 @@ def _tabulate_settings(records) -> str:
         group = [r for r in records if r["setting"] == setting]
         cells = [setting]
         for kind in _KINDS:
-            for error in accuracy.ERRORS:
-                values = [r[f"{kind}_{error}"] for r in group]
-                cells.append(f"{_percent(np.median(values))} ({_percent(max(values))})")
+            values = [r[f"{kind}_error"] for r in group]
+            cells.append(f"{_percent(np.median(values))} ({_percent(max(values))})")
             cells.append(_ms(np.median([r[f"{kind}_seconds"] for r in group])))
         rows.append(cells)
-    heads = [head for k in _KINDS for head in (f"{k} error", "same grid", "ms")]
+    heads = [head for k in _KINDS for head in (f"{k} error", "ms")]
     return format_table(["setting", *heads], rows)
 
 

@@ -8,16 +8,13 @@ from typing import Any
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jax.sharding import PartitionSpec
 
 from dpc_jax.measure.benchmark.plan import SEED, Case
 from dpc_jax.measure.benchmark.pytorch import has_torch, make_torch_call
 from dpc_jax.measure.scenes import make_scenes
 from dpc_jax.measure.timing import measure_medians
 from dpc_jax.render import VoxelGrid, count_blocks, project, project_batch
-from dpc_jax.render.devices import choose_mesh, place
 
-ONE_SIZE = "trilinear, one sigma"
 # The whole volume of a larger grid takes more memory than many machines have.
 _WHOLE_UP_TO = 512
 _TORCH_UP_TO = 256  # which keeps every step's volume
@@ -34,26 +31,19 @@ def _draw_work(case: Case) -> list[np.ndarray]:
     return [a.astype("f4") for a in (points, quaternions, masses, targets)]
 
 
-def _make_call(work, sigma, *, method: str = "auto") -> Callable[[], Any]:
-    """A call that gives the gradients of points, quaternions and masses.
-
-    Arrays lie where the steps of a descent would leave them: shared out among devices.
-    """
-    batch, side = len(work[0]), work[-1].shape[-1]
-    arrays = tuple(map(jnp.asarray, work))
-    mesh = choose_mesh(None, batch_size=batch)
-    if mesh is not None and batch % mesh.size == 0:
-        arrays = place(arrays, mesh, PartitionSpec(mesh.axis_names))
-    looks = {"grid": VoxelGrid(side), "method": method}
+def _make_call(work, sigma) -> Callable[[], Any]:
+    """A call that gives the gradients of points, quaternions and masses."""
+    *inputs, targets = map(jnp.asarray, work)
+    grid = VoxelGrid(targets.shape[-1])
 
     @jax.jit
     @jax.grad
     def gradient(inputs, targets, sigma):
         points, rotations, masses = inputs
-        images = project_batch(points, rotations, sigma=sigma, scale=masses, **looks)
+        images = project_batch(points, rotations, sigma=sigma, scale=masses, grid=grid)
         return jnp.sum((images.silhouette - targets) ** 2)
 
-    return lambda: gradient(arrays[:3], arrays[3], jnp.asarray(sigma, jnp.float32))
+    return lambda: gradient(tuple(inputs), targets, jnp.asarray(sigma, jnp.float32))
 
 
 def compare_with_peers(case: Case, *, rounds: int) -> dict[str, Any]:
@@ -67,35 +57,12 @@ def compare_with_peers(case: Case, *, rounds: int) -> dict[str, Any]:
     calls = {"project_batch": _make_call(work, case.sigma)}
     if has_torch():
         calls["PyTorch"] = make_torch_call(tuple(work[:3]), work[3], sigma=case.sigma)
-    return _compare(str(case), calls, rounds)
-
-
-def compare_sizes(case: Case, *, rounds: int) -> dict[str, Any]:
-    """A sigma per point, of 0.7 to 2.5 voxels, beside one for all."""
-    work = _draw_work(case)
-    sizes = np.random.default_rng([SEED, 2]).uniform(0.7, 2.5, (1, case.points))
-    calls = {
-        name: _make_call(work, sigma, method=method)
-        for name, method, sigma in (
-            ("gaussian", "gaussian", sizes),
-            (ONE_SIZE, "trilinear", case.sigma),
-        )
-    }
-    name = f"{case.batch} × {case.points}, D={case.side}, a sigma per point"
-    record = _compare(name, calls, rounds)
-    # Another image: nothing to compare.
-    del record["gradient_difference"][ONE_SIZE]
-    return record
-
-
-def _compare(name, calls, rounds):
-    """Medians, and how far each gradient is from that of the first call."""
     own, *others = (
         [np.asarray(value, np.float64) for value in call()] for call in calls.values()
     )
     differences = [[*map(measure_distance, other, own)] for other in others]
     return {
-        "case": name,
+        "case": str(case),
         "median_seconds": measure_medians(calls, rounds=rounds),
         "gradient_difference": dict(zip(list(calls)[1:], differences, strict=True)),
     }

@@ -111,9 +111,5 @@ def _check_grid(shape):
 
 
 def _check_method(method):
-    if method not in splatting.ORDERS:
-        raise ValueError(
-            "blocks must come with one sigma for all points and a method of "
-            f"{tuple(splatting.ORDERS)}, but the method is {method!r}; leave "
-            "max_blocks out."
-        )
+    hint = "blocks have one sigma for all points; leave max_blocks out otherwise"
+    checks.check_choice("method", method, tuple(splatting.ORDERS), hint)
