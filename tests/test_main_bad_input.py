@@ -145,6 +145,12 @@ def test_a_workdir_in_use_is_refused_and_its_config_is_left_alone(config, tmp_pa
     assert [path.name for path in tmp_path.iterdir()] == ["config.json"]
 
 
+def test_a_config_of_another_program_is_refused_and_left_alone(config, tmp_path):
+    (tmp_path / "config.json").write_text('{"editor": "mine"}')
+    assert "config must have no other fields" in refuse(config, tmp_path)
+    assert (tmp_path / "config.json").read_text() == '{"editor": "mine"}'
+
+
 def test_a_start_that_was_refused_leaves_its_workdir_to_a_better_one(config, tmp_path):
     workdir = claim_workdir(tmp_path / "workdir", from_config_dict(config))
     config.train.models_per_batch = 1
