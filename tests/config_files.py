@@ -1,6 +1,9 @@
-"""The configs of configs/, and the parameters of their networks."""
+"""The configs of configs/, the parameters of their networks, and runs of them."""
 
 import importlib.util
+import os
+import subprocess
+import sys
 from pathlib import Path
 
 import jax
@@ -66,3 +69,35 @@ def parameter_shapes(config):
     )
     leaves = jax.tree_util.tree_flatten_with_path(variables["params"])[0]
     return output, {"/".join(k.key for k in path): leaf.shape for path, leaf in leaves}
+
+
+class Command:
+    """The main command with the debug config, in processes of their own."""
+
+    def __init__(self, folder, fields, **environment):
+        """All runs have `fields` and one data cache, in the folder they start in."""
+        self.folder = folder
+        self.fields = TINY | fields | {"data.cache_dir": str(folder / "data")}
+        self.environment = os.environ | {"JAX_PLATFORMS": "cpu"} | environment
+        self.started = []
+
+    def start(self, workdir, *flags, stdout=subprocess.PIPE, **changes):
+        process = subprocess.Popen(
+            [sys.executable, "-m", "dpc_jax.main", f"--config={FOLDER}/debug.py"]
+            + [f"--workdir={workdir}", *flags]
+            + [f"--config.{n}={v}" for n, v in (self.fields | changes).items()],
+            stdout=stdout,
+            stderr=subprocess.PIPE,
+            text=True,
+            env=self.environment,
+            cwd=self.folder,
+        )
+        self.started.append(process)
+        return process
+
+
+def finish(process, status=0):
+    """What a process that ends with a status has printed, and said on stderr."""
+    out, error = process.communicate(timeout=1200)
+    assert process.returncode == status, out + error
+    return out, error

@@ -8,6 +8,7 @@ from PIL import Image
 from scipy.io import savemat
 from scipy.spatial.transform import Rotation
 
+FOCAL_LENGTH, DISTANCE = 1.875, 2.0  # of the camera
 # Centres and radii of three balls, an object without symmetry; z up, x front.
 BALLS = np.array(
     [[0.25, 0.0, -0.05, 0.12], [-0.2, 0.1, 0.0, 0.16], [0, -0.1, 0.2, 0.1]]
@@ -49,16 +50,22 @@ def sample_balls(count=300, balls=BALLS):
 
 
 def rotate(quaternion):
-    """Rotation matrix of a quaternion wxyz."""
+    """Rotation matrix of a quaternion wxyz, by scipy."""
+    quaternion = np.asarray(quaternion, np.float64)
     return Rotation.from_quat(quaternion, scalar_first=True).as_matrix()
 
 
-def share_inside(points, quaternion, mask, *, focal=1.875, distance=2.0):
-    """Share of points that the stored pose puts where the stored mask is covered."""
+def project_points(points, quaternion, size, *, distance=DISTANCE):
+    """Rows and columns, in pixels from the corner, and depths of points in a pose."""
     x, y, z = rotate(quaternion) @ np.asarray(points, np.float64).T
-    size = len(mask)
-    columns = np.floor((focal * x / (z + distance) + 0.5) * size).astype(int)
-    rows = np.floor((focal * y / (z + distance) + 0.5) * size).astype(int)
+    z += distance
+    return *(size * (FOCAL_LENGTH * a / z + 0.5) for a in (y, x)), z
+
+
+def share_inside(points, quaternion, mask):
+    """Share of points that the stored pose puts where the stored mask is covered."""
+    rows, columns, _ = project_points(points, quaternion, size := len(mask))
+    rows, columns = np.floor([rows, columns]).astype(int)
     inside = (rows >= 0) & (rows < size) & (columns >= 0) & (columns < size)
     return (mask[rows[inside], columns[inside]] > 0).sum() / len(points)
 

@@ -21,17 +21,41 @@ cd "$folder"
 export JAX_PLATFORMS=cpu
 # Programs run for a few steps only: compiled with little effort.
 export XLA_FLAGS="--xla_backend_optimization_level=0 --xla_llvm_disable_expensive_passes=true"
-# The projection alone is light, and commands say what they lack.
+# Projection, quaternions and losses are light, and other names say what they lack.
 "$folder/empty/bin/python" -c "
-import dpc_jax, importlib.util, jax
-print(dpc_jax.project(jax.numpy.zeros((1, 3)), jax.numpy.eye(3), sigma=1.0).silhouette.sum())
+import dpc_jax, importlib.util, jax.numpy as jnp
 heavy = 'orbax flax optax trimesh matplotlib plotly skimage ml_collections PIL'
-assert not any(map(importlib.util.find_spec, heavy.split()))"
-! "$folder/empty/bin/dpc_jax" train --config=debug 2>"$folder/said"
-grep -q "^Error: .*pip install 'dpc_jax\[learn\]'" "$folder/said"
+assert not any(map(importlib.util.find_spec, heavy.split()))
+image = dpc_jax.project(jnp.zeros((1, 3)), jnp.eye(3), sigma=1.0).silhouette
+assert dpc_jax.reprojection_loss(image, image) == 0
+one = jnp.array([1.0, 0, 0, 0])
+assert dpc_jax.student_loss(one, dpc_jax.quaternion.normalize(2 * one)) == 0
+try:
+    dpc_jax.ShapeHead
+except ModuleNotFoundError as error:
+    assert 'dpc_jax.ShapeHead needs flax' in str(error)
+else:
+    raise AssertionError('flax is there')
+"
+for name in $("$folder/empty/bin/python" -c "
+from dpc_jax.commands import COMMANDS
+print(*COMMANDS)"); do
+    case $name in
+        train) words="--config=debug" ;;
+        predict) words="--workdir=w x" ;;
+        data) words="show $folder" ;;
+        fit | compare | view) words=x ;;
+        *) words= ;;
+    esac
+    status=0
+    "$folder/empty/bin/dpc_jax" "$name" $words 2>"$folder/said" || status=$?
+    [ "$status" = 1 ]
+    [ "$(wc -l <"$folder/said")" = 1 ]
+    grep -q "^Error: .*pip install 'dpc_jax\[learn\]'" "$folder/said"
+done
 "$folder/empty/bin/python" -m pip install --quiet "$wheel[learn]"
 "$folder/empty/bin/dpc_jax" train --config=debug:known_pose
-test -s "$folder/runs/debug-known_pose-seed0/report/index.html"
+grep -q "pose errors are absent" "$folder/runs/debug-known_pose-seed0/report/index.html"
 "$folder/empty/bin/dpc_jax" compare runs
 test -s "$folder/runs/comparison/index.html"
 "$folder/empty/bin/python" -c "import dpc_jax, pathlib; assert '$folder/empty' in dpc_jax.__file__"

@@ -1,24 +1,11 @@
 """The command dpc_jax: the same as python -m, and quick."""
 
-import os
-import subprocess
-import sys
-
 import pytest
+from tiny_runs import run_python
 
 from dpc_jax import commands
 
 LINES, COLUMNS = 24, 80  # of a terminal as it opens
-
-
-def start(*words):
-    """The finished process of a command that is quick."""
-    return subprocess.run(
-        [sys.executable, *words],
-        capture_output=True,
-        text=True,
-        env=os.environ | {"JAX_PLATFORMS": "cpu"},
-    )
 
 
 @pytest.mark.parametrize("name", ["", *commands.COMMANDS])
@@ -45,7 +32,7 @@ for command in COMMANDS:
 heavy = "jax scipy trimesh embreex matplotlib flax optax orbax tensorboardX PIL"
 print([name for name in heavy.split() if name in sys.modules])
 """
-    done = start("-c", code)
+    done = run_python("-c", code)
     assert done.stdout.strip() == "[]", done.stdout + done.stderr
 
 
@@ -72,4 +59,4 @@ def test_help_and_version_are_answered_with_status_0(capsys):
     assert capsys.readouterr().out == 2 * commands.describe()
     assert commands.main(["--version"]) == 0
     assert capsys.readouterr().out[0].isdigit()
-    assert start("-m", "dpc_jax", "train", "--help").returncode == 0
+    assert run_python("-m", "dpc_jax", "train", "--help").returncode == 0

@@ -6,10 +6,10 @@ import re
 import statistics
 
 import pytest
-from tiny_runs import tiny_config
+from tiny_runs import tiny_config, write_workdir
 
 from dpc_jax import compare
-from dpc_jax.config import replace_fields, to_json
+from dpc_jax.config import replace_fields
 from dpc_jax.reporting import style
 from dpc_jax.reporting.groups import group_runs
 from dpc_jax.run.comparison import find_workdirs, read_runs
@@ -18,15 +18,12 @@ from dpc_jax.run.comparison import find_workdirs, read_runs
 def write_run(folder, *, seed=0, accuracy=None, **changes):
     """A workdir of a run that is finished where an accuracy is given."""
     config = dataclasses.replace(tiny_config(seed=seed), variant=changes.pop("v", ""))
-    config = replace_fields(config, changes)
-    folder.mkdir(parents=True)
-    (folder / "config.json").write_text(to_json(config))
+    metrics = {"pose_accuracy": accuracy, "chamfer": 4.0, "train_seconds": 90.0}
+    write_workdir(
+        folder, replace_fields(config, changes), metrics=metrics if accuracy else None
+    )
     line = {"step": 10, "seconds": 60.0, "pose_accuracy": 0.5, "chamfer": 5.0}
     (folder / "metrics.jsonl").write_text(json.dumps(line) + "\n")
-    if accuracy is not None:
-        metrics = {"pose_accuracy": accuracy, "chamfer": 4.0, "train_seconds": 90.0}
-        (folder / "report").mkdir()
-        (folder / "report" / "metrics.json").write_text(json.dumps(metrics))
     return folder
 
 
@@ -89,16 +86,3 @@ def test_runs_of_the_same_name_are_told_apart_by_their_folders(tmp_path):
     folders = [write_run(tmp_path / name / "car-seed0") for name in ("old", "new")]
     names = [run.name for run in read_runs(find_workdirs(folders))]
     assert names == ["old/car-seed0", "new/car-seed0"]
-
-
-def test_what_is_no_run_is_refused_by_its_path(tmp_path, runs, capsys):
-    (runs / "car-seed0" / "report" / "metrics.json").write_text("{")
-    for given, status, words in (
-        ([tmp_path / "nowhere"], 1, "nowhere, but no config.json is there"),
-        ([runs, "--out=curves.png"], 2, "must be a folder"),
-        ([], 2, "RUN"),
-        ([runs], 1, "car-seed0/report/metrics.json"),
-    ):
-        assert compare.main(list(map(str, given))) == status
-        (line,) = capsys.readouterr().err.splitlines()
-        assert line.startswith("Error: ") and words in line

@@ -1,13 +1,12 @@
 """The page, from made-up finished runs: whose numbers stand where, what is missing."""
 
-import json
 import os
 import re
 
 import pytest
+from tiny_runs import write_workdir
 
 from dpc_jax import paper
-from dpc_jax.config import to_json
 from dpc_jax.experiments import results as module
 from dpc_jax.experiments import training
 from dpc_jax.experiments.catalogue import EXPERIMENTS
@@ -130,9 +129,7 @@ def finish_runs(folder, request, without=" "):
     """Folders of finished runs, as `dpc_jax.main` leaves them."""
     for run in (run for run in request.list_runs() if without not in run.name):
         workdir = folder / "runs" / run.name
-        (workdir / "report").mkdir(parents=True)
-        (workdir / "config.json").write_text(to_json(run.load_config()))
-        (workdir / "report" / "metrics.json").write_text(json.dumps(make_up(run)))
+        write_workdir(workdir, run.load_config(), metrics=make_up(run))
         (workdir / "report" / "index.html").write_text("report")
 
 
@@ -194,23 +191,3 @@ def test_a_second_command_of_the_same_folder_is_refused(tmp_path, capsys):
         assert start(tmp_path, "all") == 1
     error = capsys.readouterr().err
     assert f"but process {os.getpid()} on" in error and error.count("\n") == 1
-
-
-@pytest.mark.parametrize(
-    "flags, words",
-    [
-        ("--experiment=shapes", "--experiment: names must be of all, known_pose"),
-        ("--category=boat", "names must be of airplane, car, chair, not boat"),
-        ("--seeds=-1", "--seeds: seeds must be whole numbers"),
-        ("--shapenet=none", "--shapenet must be a folder that exists"),
-        ("--experiment=ablation --category=car", "is not made of car"),
-        ("--category=,", "not empty"),
-        ("--seeds=0,", "as in 0,1,2, not ''"),
-    ],
-)
-def test_a_wrong_flag_is_said_in_one_sentence(flags, words, tmp_path, capsys):
-    out = tmp_path / "out"
-    assert paper.main([f"--out={out}", *flags.split()]) == 2
-    error = capsys.readouterr().err
-    assert words in error and error.startswith("Error: ") and error.count("\n") == 1
-    assert not out.exists()

@@ -4,7 +4,6 @@ The network is untrained: figures of quality are in docs/baselines.md.
 """
 
 import dataclasses
-import json
 from types import SimpleNamespace
 
 import jax
@@ -12,17 +11,15 @@ import numpy as np
 import pytest
 from PIL import Image
 from scipy.spatial.transform import Rotation
-from tiny_runs import make_network, make_state, tiny_config
+from tiny_runs import make_network, make_state, tiny_config, write_workdir
 
-from dpc_jax.config import replace_fields, to_json
 from dpc_jax.evaluation.alignment import identity_alignment
 from dpc_jax.experiments import correspondences, interpolation, point_sizes
 from dpc_jax.learning.framing import make_inputs
-from dpc_jax.learning.training.checkpoints import Checkpoints
 from dpc_jax.reporting import paper_figures
 from dpc_jax.reporting.clouds import DEVIATIONS, HALF_WIDTH, draw_ellipsoids
 from dpc_jax.run.trained import load_split, load_trained, predict_points
-from dpc_jax.run.workdir import claim_workdir, write_alignment
+from dpc_jax.run.workdir import write_alignment
 
 TURN = Rotation.from_euler("z", 30, degrees=True)
 
@@ -37,10 +34,8 @@ def make_config(folder, category="chair", **data):
 
 def write_run(folder, config):
     """A workdir as of a finished run whose network's frame is turned about z."""
-    workdir = claim_workdir(folder / "run", config)
-    checkpoints = Checkpoints(workdir / "checkpoints")
-    checkpoints.save(make_state(make_network(config), config), seconds=0.0)
-    checkpoints.close()
+    state = make_state(make_network(config), config)
+    workdir = write_workdir(folder / "run", config, state=state)
     turn = TURN.as_quat(scalar_first=True)
     write_alignment(workdir, identity_alignment()._replace(rotation=turn))
     return workdir
@@ -123,7 +118,7 @@ def test_pairs_are_of_different_images():
 
 
 def test_a_run_that_has_not_ended_is_refused(tmp_path):
-    claim_workdir(tmp_path / "run", make_config(tmp_path))
+    write_workdir(tmp_path / "run", make_config(tmp_path))
     with pytest.raises(ValueError, match="Expected a finished run in"):
         load_trained(tmp_path / "run")
 
@@ -147,11 +142,8 @@ def test_points_have_the_covariances_that_they_were_rendered_with():
 
 def write_error(folder, kind, count, error):
     """The files of a finished run that the figure of errors reads."""
-    changes = {"network": {"point_size": kind}, "render": {"num_points": count}}
-    (folder / "report").mkdir(parents=True)
-    (folder / "config.json").write_text(to_json(replace_fields(tiny_config(), changes)))
-    (folder / "report" / "metrics.json").write_text(json.dumps(error))
-    return folder
+    config = tiny_config(point_size=kind, num_points=count)
+    return write_workdir(folder / f"{kind}{count}", config, metrics=error)
 
 
 def test_errors_of_all_kinds_of_points_are_drawn_over_their_number(
@@ -164,7 +156,7 @@ def test_errors_of_all_kinds_of_points_are_drawn_over_their_number(
     monkeypatch.setattr(point_sizes, "predict_gaussians", lambda workdir: workdir.name)
     monkeypatch.setattr(paper_figures, "draw_gaussians", draw_gaussians)
     workdirs = [
-        write_error(tmp_path / f"{kind}{count}", kind, count, {"projection_error": 0.1})
+        write_error(tmp_path, kind, count, {"projection_error": 0.1})
         for kind in ("", "sigma")
         for count in (20, 60)
     ]

@@ -2,7 +2,6 @@
 
 import dataclasses
 import json
-import sys
 import types
 
 import jax
@@ -14,7 +13,6 @@ from scipy.spatial.transform import Rotation
 import dpc_jax
 from dpc_jax.data.viewpoints import look_at_rotation, matrix_to_quaternion
 from dpc_jax.evaluation import chamfer_distance
-from dpc_jax.fit import main
 from dpc_jax.learning.fitting import FitSettings, descent, object_fit, pose_search
 from dpc_jax.render.blocks import capacity
 from dpc_jax.run.object_fitting import fit_folder, list_doubts
@@ -100,14 +98,6 @@ def test_the_result_renders_as_it_says(given):
     np.testing.assert_allclose(image, given.silhouettes[3], atol=1e-5)
 
 
-@pytest.mark.parametrize(
-    ("finest", "sides"),
-    [(32, (16, 32)), (128, (64, 128)), (2048, (64, 128, 256, 512))],
-)
-def test_images_are_halved_until_the_first_are_coarse(finest, sides):
-    assert object_fit.list_sides(finest) == sides
-
-
 def test_large_images_are_fitted_in_blocks_by_more_points(scene, monkeypatch):
     """Though at first there is room for half of the blocks; of 32² to be quick."""
     _, silhouettes, rotations = scene
@@ -120,15 +110,6 @@ def test_large_images_are_fitted_in_blocks_by_more_points(scene, monkeypatch):
     found = dpc_jax.fit(silhouettes, rotations=rotations, settings=SMALL)
     assert found.side == 32 and found.points.shape == (1200, 3)
     assert found.overlaps.mean() > 0.85
-
-
-def test_the_same_seed_gives_the_same_cloud(scene):
-    _, silhouettes, rotations = scene
-    first, again = (
-        dpc_jax.fit(silhouettes, rotations=rotations, settings=COARSE).points
-        for _ in range(2)
-    )
-    np.testing.assert_array_equal(again, first)
 
 
 def test_rough_poses_become_better(scene):
@@ -251,31 +232,3 @@ def test_few_views_without_poses_and_views_not_explained_are_doubted():
     assert list_doubts(many, is_searched=True) == []
     (poor,) = list_doubts(many | {"7.png": 0.5}, is_searched=True)
     assert "1 of 20 views well: 7.png" in poor
-
-
-@pytest.mark.parametrize(
-    ("flags", "words"),
-    [
-        ("nowhere", "is not a folder"),
-        ("objects", "holds folders; give one of them"),
-        (". --poses=rough", "needs the poses of"),
-        (". --points=0", "--points: it must be a whole number of at least 1"),
-        (". --elevations=50,10", "--elevations: it must be two numbers"),
-        (". --learn=zoom", "--learn: names must be of"),
-        (". --speed=3", "unrecognized arguments"),
-    ],
-)
-def test_a_wrong_command_is_answered_in_one_sentence(
-    flags, words, scene, tmp_path, monkeypatch
-):
-    mask = np.round(255 * scene[1][0]).astype(np.uint8)
-    Image.fromarray(np.dstack([mask] * 4)).save(tmp_path / "0.png")
-    (tmp_path / "objects" / "one").mkdir(parents=True)
-    place, *rest = flags.split()
-    said = []
-    monkeypatch.chdir(tmp_path)
-    monkeypatch.setattr(sys.stderr, "write", said.append)
-    assert main([place, *rest]) in (1, 2)
-    text = "".join(said)
-    assert words in text and text.startswith("Error: ") and text.count("\n") == 1
-    assert not list(tmp_path.glob("*-fit"))

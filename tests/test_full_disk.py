@@ -9,11 +9,9 @@ import sys
 from pathlib import Path
 
 import pytest
-from tiny_runs import make_small_state
 
 from dpc_jax.files import explaining_full_disk
 from dpc_jax.learning.training import records
-from dpc_jax.learning.training.checkpoints import Checkpoints
 from dpc_jax.learning.training.records import MetricLog
 
 IN_CPP = "RESOURCE_EXHAUSTED: Failed writing: No space left on device [os_error_code]"
@@ -57,24 +55,11 @@ def test_a_record_that_finds_no_room_says_so(tmp_path, monkeypatch):
         MetricLog(tmp_path / "metrics.jsonl").write({"step": 1, "seconds": 0.5})
 
 
-def test_a_checkpoint_that_finds_no_room_leaves_the_one_before(tmp_path, monkeypatch):
-    def fail(step, **_):
-        (tmp_path / f"{step}.orbax-checkpoint-tmp").mkdir()
-        raise ValueError(IN_CPP)
-
-    checkpoints = Checkpoints(tmp_path)
-    checkpoints.save(make_small_state(1), seconds=1.0)
-    monkeypatch.setattr(checkpoints._manager, "save", fail)
-    with pytest.raises(OSError, match="must have room .* disk is full"):
-        checkpoints.save(make_small_state(2), seconds=2.0)
-    checkpoints.close()
-    assert [path.name for path in tmp_path.iterdir()] == ["1"]
-
-
 FILL = """
 import sys
 from pathlib import Path
-from test_full_disk import Checkpoints, make_small_state
+from dpc_jax.learning.training.checkpoints import Checkpoints
+from tiny_runs import make_small_state
 
 folder = Path(sys.argv[1])
 checkpoints = Checkpoints(folder / "checkpoints")

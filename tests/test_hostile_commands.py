@@ -15,11 +15,10 @@ import pytest
 from data_trees import save_disc
 from hostile import Table, assert_try_says
 from PIL import Image
-from tiny_runs import tiny_config
+from tiny_runs import tiny_config, write_workdir
 
 import dpc_jax.fit as fit
-from dpc_jax import compare, outputs, predict
-from dpc_jax.config import replace_fields, to_json
+from dpc_jax import benchmark, compare, outputs, paper, predict, stability, view
 from dpc_jax.data import DataSpec
 from dpc_jax.data import __main__ as data_command
 from dpc_jax.data.sets import masks
@@ -27,9 +26,6 @@ from dpc_jax.data.sets.photographs import read_photographs
 from dpc_jax.outputs import show_text
 from dpc_jax.reporting.examples import Example
 from dpc_jax.reporting.gallery import draw_predictions
-from dpc_jax.run import prediction
-from dpc_jax.run.prediction import objects as predicted_objects
-from dpc_jax.run.workdir import claim_workdir
 
 TABLE = Table()
 tries = TABLE.tries
@@ -60,12 +56,9 @@ def call(command, *words):
     return f"{line[7:-1]} Status {status}."
 
 
-def make_workdir(folder, **changes):
+def make_workdir(folder):
     """The folder of a run as far as it is read before a network is."""
-    workdir = folder / "run"
-    workdir.mkdir()
-    (workdir / "config.json").write_text(to_json(tiny_config(**changes)))
-    return workdir
+    return write_workdir(folder / "run", tiny_config())
 
 
 @tries("predictions.png, but it is an input; move", names=["out/predictions.png"])
@@ -137,18 +130,71 @@ def compare_over_a_page(folder):
     return call(compare, folder / "run", f"--out={folder}")
 
 
-@tries("but it cannot be used (config must have no other fields")
-def train_in_a_folder_with_a_config_of_another_program(folder):
-    (folder / "config.json").write_text('{"editor": "mine"}')
-    try:
-        claim_workdir(folder, tiny_config())
-    finally:
-        assert (folder / "config.json").read_text() == '{"editor": "mine"}'
-
-
 @tries("cannot be read or written (File name too long); make room, or give")
 def name_no_file(folder):
     return call(fit, "x" * 300)
+
+
+WRONG_FLAGS = {
+    fit: {
+        "HERE --points=0": "--points: it must be a whole number of at least 1",
+        "HERE --elevations=50,10": "--elevations: it must be two numbers",
+        "HERE --learn=zoom": "--learn: names must be of",
+        "HERE --speed=3": "unrecognized arguments",
+    },
+    compare: {"": "RUN", "HERE --out=curves.png": "must be a folder"},
+    paper: {
+        "--experiment=shapes": "--experiment: names must be of all, known_pose",
+        "--category=boat": "names must be of airplane, car, chair, not boat",
+        "--seeds=-1": "--seeds: seeds must be whole numbers",
+        "--shapenet=none": "--shapenet must be a folder that exists",
+        "--experiment=ablation --category=car": "is not made of car",
+        "--category=,": "not empty",
+        "--seeds=0,": "as in 0,1,2, not ''",
+    },
+    benchmark: {"--parts=speed,sped": "names must be of"},
+    stability: {"--subjects=rays": "names must be of"},
+}
+WRONG_FILES = {
+    fit: {
+        "HERE/nowhere": "is not a folder",
+        "HERE/objects": "holds folders; give one of them",
+        "HERE --poses=rough": "needs the poses of",
+    },
+    compare: {
+        "HERE/nowhere": "nowhere, but no config.json is there",
+        "HERE/run": "run/report/metrics.json",
+    },
+    view: {
+        "HERE/a.txt": "Expected a file that ends with .ply",
+        "HERE/a.ply": "Expected a shape in",
+        "HERE/empty": "Expected a run or shapes",
+        "HERE/a.ply --port=65536": "--port must be a number from 1 to 65535",
+    },
+}
+
+
+def give_what_is_wrong(folder, *, command, flags, status):
+    for name in ("a.txt", "a.ply", "run/report/metrics.json"):
+        (folder / name).parent.mkdir(parents=True, exist_ok=True)
+        (folder / name).write_text("no shape")
+    make_workdir(folder)
+    (folder / "empty").mkdir()
+    save_disc(folder / "0.png")
+    save_disc(folder / "objects" / "one" / "0.png")
+    before = sorted(folder.rglob("*"))
+    if command not in (compare, fit, view):
+        flags += f" --out={folder / 'out'}"
+    said = call(command, *flags.replace("HERE", str(folder)).split())
+    assert said.endswith(f"Status {status}.") and sorted(folder.rglob("*")) == before
+    return said
+
+
+for status, wrong in ((2, WRONG_FLAGS), (1, WRONG_FILES)):
+    for command, rows in wrong.items():
+        for flags, says in rows.items():
+            given = {"command": command, "flags": flags, "status": status}
+            tries(says, **given)(give_what_is_wrong)
 
 
 @tries("/dev/null is no regular file")
@@ -175,26 +221,6 @@ def name_files_in_bytes_of_all_kinds(folder):
         rows = [dataclasses.replace(row, name=name) for name in shown]
         draw_predictions(rows, folder / "a.png")
     return Path(shown[-1]).name
-
-
-@tries("['RUN/data', '/asked']")
-def refine_with_a_cache_folder_of_others(folder):
-    """Where data are kept for a workdir whose config says elsewhere."""
-    config = replace_fields(tiny_config(), {"data": {"cache_dir": "/elsewhere"}})
-    places = []
-
-    def stop(config, workdir):
-        places.append(config.data.cache_dir)
-        raise ValueError("Enough.")
-
-    with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(predicted_objects, "read_config", lambda _: config)
-        patch.setattr(predicted_objects, "load_checkpoint", stop)
-        for data in (None, Path("/asked")):
-            with contextlib.suppress(ValueError):
-                request = prediction.PredictRequest([], folder, folder, data=data)
-                predicted_objects.predict_objects([], request)
-    return [place.replace(str(folder), "RUN") for place in places]
 
 
 def draw_spots():

@@ -6,7 +6,8 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from tiny_runs import assert_same_bits, rotation_matrix, tiny_config
+from data_trees import project_points
+from tiny_runs import assert_same_bits, tiny_config
 
 from dpc_jax import rotation_angle_deg
 from dpc_jax.learning.candidates import (
@@ -40,15 +41,13 @@ def draw_bar(rng, *, thick):
     return jnp.asarray(points, jnp.float32)
 
 
-def draw_views(points, poses, ends, *, distance=2.0):
+def draw_views(points, poses, ends, **camera):
     """Images of points, one half in one colour and the other in another one."""
     images = np.full((len(poses), SIDE, SIDE, 3), 255, np.uint8)
     masks = np.zeros((len(poses), SIDE, SIDE), np.uint8)
     for view, pose in enumerate(poses):
-        moved = np.asarray(points) @ rotation_matrix(pose).T
-        ahead = moved[:, 2] + distance
-        places = moved[:, :2] / ahead[:, None] * 1.875 + 0.5
-        columns, rows = np.clip((places * SIDE).astype(int), 0, SIDE - 1).T
+        *places, ahead = project_points(points, pose, SIDE, **camera)
+        rows, columns = np.clip(np.array(places).astype(int), 0, SIDE - 1)
         for kind, color in enumerate(ends):
             these = (np.asarray(points[:, 2]) > 0) == bool(kind)
             order = np.argsort(-ahead[these])

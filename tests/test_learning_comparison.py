@@ -7,12 +7,12 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
+from data_trees import rotate
 from tiny_runs import (
     make_batch,
     make_network,
     make_recipe,
     random_quaternions,
-    rotation_matrix,
     tiny_config,
 )
 
@@ -417,7 +417,7 @@ def test_sizes_and_masses_are_those_of_the_paper(kind):
         widths = SIDE * np.broadcast_to(np.asarray(shape["sizes"][place], float), 3)
         covariance = np.diag(widths**2)
         if kind == "covariance":
-            turn = rotation_matrix(shape["turns"][place])
+            turn = rotate(shape["turns"][place])
             covariance = turn @ covariance @ turn.T
             found = np.asarray(size[place])
         else:

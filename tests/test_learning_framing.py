@@ -17,7 +17,7 @@ from dpc_jax.data import DataSpec
 from dpc_jax.data.sets import framing as photographs
 from dpc_jax.data.sets.photographs import Photographs
 from dpc_jax.learning import framing, objective
-from dpc_jax.learning.framing import draw_framed, make_inputs
+from dpc_jax.learning.framing import make_inputs
 from dpc_jax.learning.inference.predictor import make_predictor, predict_all
 from dpc_jax.learning.step import describe_state
 from dpc_jax.run.prediction.objects import place_photographs
@@ -71,14 +71,6 @@ def test_views_that_are_not_framed_stay_as_they_are():
     mixed = make_inputs(images, masks, network=network, is_framed=np.array([0, 1]) > 0)
     np.testing.assert_allclose(mixed[0], plain[0], atol=1e-6)
     assert np.abs(mixed[1] - plain[1]).max() > 0.5
-
-
-def test_half_of_the_views_are_framed_by_their_keys():
-    keys = jax.random.split(jax.random.key(3), 800)
-    drawn = draw_framed(keys)
-    # Of 800 fair draws: six standard deviations.
-    assert abs(float(drawn.mean()) - 0.5) < 0.11
-    assert np.array_equal(draw_framed(keys[7:9]), drawn[7:9])
 
 
 @pytest.mark.parametrize(("middle", "size"), [((0.08, -0.12), 0.7), ((-0.1, 0), 0.5)])

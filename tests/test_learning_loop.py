@@ -1,4 +1,7 @@
-"""The loop: it ends where an unbroken run ends, whatever stops it on the way."""
+"""The loop: what is logged, saved and timed, and how it breaks.
+
+That a run ends alike whatever stops it on the way: tests/test_main_pipeline.py.
+"""
 
 import dataclasses
 import functools
@@ -9,13 +12,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from tiny_runs import (
-    assert_same_bits,
-    make_dataset,
-    make_network,
-    make_state,
-    tiny_config,
-)
+from tiny_runs import copy, make_dataset, make_network, make_state, tiny_config
 
 from dpc_jax.config import Log
 from dpc_jax.learning.training import loop
@@ -48,30 +45,14 @@ def first_state():
     return make_state(NETWORK, CONFIG)
 
 
-@pytest.fixture(scope="module")
-def unbroken(first_state, tmp_path_factory):
-    """The last state of a run that nothing stopped."""
-    folder = tmp_path_factory.mktemp("unbroken")
-    with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(loop, "make_train_step", compile_once)
-        return run_loop(folder, first_state, every=(1, 0, 0)).state
-
-
-def copy_from_host(state):
-    # A restored array is bound to its device, which would compile everything anew.
-    return jax.tree.map(lambda a: jnp.array(np.asarray(a)), state)
-
-
 def run_loop(folder, state, *, every=(1, 0, 2), **changes):
     checkpoints = Checkpoints(folder / "checkpoints")
     log = MetricLog(folder / "metrics.jsonl")
-    if "network" not in changes:
-        state = copy_from_host(state)
-    run = {"dataset": DATASET, "network": NETWORK, "config": CONFIG}
-    run |= {"evaluate": lambda state: SCORES} | changes
-    run["config"] = dataclasses.replace(run["config"], log=Log(*every))
+    changes["config"] = dataclasses.replace(CONFIG, log=Log(*every))
+    given = {"dataset": DATASET, "network": NETWORK, "log": log}
+    given |= {"evaluate": lambda state: SCORES, "checkpoints": checkpoints} | changes
     try:
-        return loop.train(state, checkpoints=checkpoints, log=log, **run)
+        return loop.train(copy(state), **given)
     finally:
         checkpoints.close()
 
@@ -88,49 +69,6 @@ def read(folder):
     return MetricLog(folder / "metrics.jsonl").read()
 
 
-def stop_after(count, monkeypatch):
-    """Asks to stop from the end of the count-th step on."""
-    steps, add = [], loop.Window.add
-
-    def count_step(window, metrics):
-        steps.append(metrics)
-        add(window, metrics)
-
-    monkeypatch.setattr(loop.Window, "add", count_step)
-    return lambda: len(steps) >= count
-
-
-def test_the_loop_ends_at_the_last_step_with_a_checkpoint_of_it(
-    tmp_path, first_state, unbroken
-):
-    outcome = run_loop(tmp_path, first_state)
-    assert outcome.is_finished and int(outcome.state.step) == 8
-    assert_same_bits(outcome.state, unbroken)
-    restored, steps = restore(tmp_path, first_state)
-    assert steps == [6, 8]
-    # Written while the steps after it took its memory, and yet the same bits.
-    assert restored.damaged == ()
-    assert_same_bits(restored.state, unbroken)
-
-
-@pytest.mark.parametrize("count", [1, 4])  # within a stage, and where one ends
-def test_a_run_that_stops_saves_and_then_ends_as_one_that_did_not(
-    tmp_path, first_state, unbroken, count, monkeypatch
-):
-    stop = stop_after(count, monkeypatch)
-    outcome = run_loop(tmp_path, first_state, every=(1, 0, 0), should_stop=stop)
-    assert not outcome.is_finished
-    restored, steps = restore(tmp_path, first_state)
-    assert steps == [count] and int(restored.state.step) == count
-    outcome = run_loop(tmp_path, restored.state, seconds=restored.seconds)
-    assert outcome.is_finished
-    assert_same_bits(outcome.state, unbroken)
-    records = [r for r in read(tmp_path) if "loss" in r]
-    assert [r["step"] for r in records] == list(range(1, 9))
-    assert sum(records[0]["head_shares"]) == pytest.approx(1, abs=1e-3)
-    assert {"reprojection", "student", "gradient_norm_pose"} <= records[0].keys()
-
-
 def test_log_validation_and_checkpoints_come_at_their_intervals_and_at_the_end(
     tmp_path, first_state
 ):
@@ -144,6 +82,8 @@ def test_log_validation_and_checkpoints_come_at_their_intervals_and_at_the_end(
     records = read(tmp_path)
     assert [r["step"] for r in records if "loss" in r] == [3, 6, 8]
     assert [r["step"] for r in records if "chamfer" in r] == [5, 8] == seen
+    assert sum(records[0]["head_shares"]) == pytest.approx(1, abs=1e-3)
+    assert {"reprojection", "student", "gradient_norm_pose"} <= records[0].keys()
     assert restore(tmp_path, first_state)[1] == [7, 8]
 
 

@@ -2,17 +2,16 @@
 
 import functools
 import os
-import subprocess
 import sys
 import threading
 import time
-from pathlib import Path
 from typing import NamedTuple
 
 import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
+from tiny_runs import run_python
 
 from dpc_jax.learning.schedules import Span, Stage
 from dpc_jax.learning.training.programs import StagePrograms
@@ -132,52 +131,24 @@ def test_nobody_waits_behind_another_stage_or_longer_than_asked():
 
 
 LEAVE = """
-import sys, threading, time
+import time
 import test_learning_programs as tests
-from tiny_runs import make_batch, make_network, make_state, make_step, tiny_config
 from dpc_jax.learning.training.programs import StagePrograms
 from dpc_jax.run.process import leave
 
-begun = threading.Event()
-
 class Slow:
     def __init__(self, stage): self.stage = stage
-    def lower(self, *structs): self.structs = structs; return self
-    def compile(self):
-        if self.stage == tests.FIRST: return None
-        config = tiny_config(steps=8)
-        network = make_network(config)
-        args = make_state(network, config), make_batch()
-        lowered = make_step(network, config).lower(*args)
-        begun.set()
-        program = lowered.compile()
-        {after}
+    def lower(self, *structs): return self
+    def compile(self): return self.stage == tests.FIRST or time.sleep(3600)
 
 programs = StagePrograms(Slow, tests.SPANS)
 with programs:
     programs.begin(0, tests.make_state(), tests.BATCH)
-    {wait}
-{end}
+leave(3)
 """
 
 
-@pytest.mark.parametrize(
-    ("wait", "after", "end"),
-    [
-        # A process that ends while XLA compiles ends cleanly: here a quarter of a
-        # second into a compilation of more than one.
-        ("begun.wait(); time.sleep(0.25)", "pass", "sys.exit(3)"),
-        # A command leaves without waiting for the compiler. It would never end: this
-        # compilation lasts an hour.
-        ("pass", "time.sleep(3600)", "leave(3)"),
-    ],
-)
-def test_a_process_ends_while_its_programs_compile(wait, after, end):
-    done = subprocess.run(
-        [sys.executable, "-c", LEAVE.format(end=end, wait=wait, after=after)],
-        capture_output=True,
-        text=True,
-        cwd=Path(__file__).parent,
-        timeout=120,
-    )
+def test_a_command_leaves_while_its_programs_compile():
+    """Here for an hour, which Python alone would wait for."""
+    done = run_python("-c", LEAVE)
     assert (done.returncode, done.stderr) == (3, "")

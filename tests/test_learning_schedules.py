@@ -35,30 +35,19 @@ def kept_at(step, config):
 @pytest.mark.parametrize("levels", [1, 2, 5, 32])
 def test_the_number_of_kept_points_rises_in_stairs_to_its_end(levels):
     config = tiny_config(
-        steps=1000, num_points=2000, keep_start=0.07, keep_end=1.0, keep_levels=levels
+        steps=1000, num_points=2000, keep_start=0.07, keep_end=0.5, keep_levels=levels
     )
     kept = np.array([kept_at(s, config) for s in range(1000)])
     assert np.all(np.diff(kept) >= 0)
     assert len(np.unique(kept)) == levels
-    assert kept[-1] == 2000
+    assert kept[-1] == 1000
     # All stairs but the last lie around the line, by at most half a stair.
-    line = 2000 * (0.07 + 0.93 * np.arange(1000) / 1000)
+    line = 2000 * (0.07 + 0.43 * np.arange(1000) / 1000)
     inner = slice(0, 1000 * (levels - 1) // levels)
-    assert np.all(np.abs(kept - line)[inner] <= 0.93 * 2000 / levels / 2 + 1)
-
-
-@pytest.mark.parametrize(
-    ("fields", "step", "kept"),
-    [
-        (dict(num_points=40, keep_start=0.1, keep_end=0.5, keep_levels=3), 19, 20),
-        (dict(num_points=3, keep_start=1e-3, keep_end=1e-3, keep_levels=1), 0, 1),
-        (dict(num_points=50, keep_start=1.0, keep_levels=32), 0, 50),
-    ],
-)
-def test_the_last_stair_keeps_the_end_value_and_at_least_one_point_is_left(
-    fields, step, kept
-):
-    assert kept_at(step, tiny_config(**fields)) == kept
+    assert np.all(np.abs(kept - line)[inner] <= 0.43 * 2000 / levels / 2 + 1)
+    # One point is left at least.
+    few = dict(num_points=3, keep_start=1e-3, keep_end=1e-3, keep_levels=levels)
+    assert kept_at(0, tiny_config(**few)) == 1
 
 
 @pytest.mark.parametrize("until", [0.5, 0.8])
@@ -175,15 +164,11 @@ def test_the_penalty_is_half_the_squared_weights_in_the_loss_before_adam():
         name: {"kernel": name != "pose", "bias": False} for name in params["params"]
     }
 
-    def penalty(tree):
-        squares = jax.tree.map(lambda a, on: jnp.sum(a**2) * on, tree, chosen)
-        return 0.5 * 0.01 * sum(jax.tree.leaves(squares))
-
     plain, ours = (
         make_optimizer(tiny_config(l2_weight=weight).train) for weight in (0.0, 0.01)
     )
     gradient = jax.tree.map(jnp.cos, params)
-    whole = jax.tree.map(jnp.add, gradient, jax.grad(penalty)(params))
+    whole = jax.tree.map(lambda g, a, on: g + 0.01 * a * on, gradient, params, chosen)
     expected, _ = plain.update(whole, plain.init(params), params)
     found, _ = ours.update(gradient, ours.init(params), params)
     jax.tree.map(

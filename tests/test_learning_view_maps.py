@@ -5,10 +5,10 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 import trimesh
+from data_trees import rotate
 from tiny_runs import (
     make_recipe,
     random_quaternions,
-    rotation_matrix,
     tiny_config,
 )
 
@@ -102,7 +102,7 @@ def test_of_visible_points_in_a_pixel_the_nearest_is_seen(seed):
     logits = rng.normal(size=60)
     rotation = random_quaternions(seed, 1)[0] if seed else np.eye(4)[0]
     expected = np.full((6, 6), np.inf)
-    for x, y, z in points[logits > 0] @ rotation_matrix(rotation).T + [0, 0, 2]:
+    for x, y, z in points[logits > 0] @ rotate(rotation).T + [0, 0, 2]:
         column, row = (int(np.floor(6 * (1.875 * a / z + 0.5))) for a in (x, y))
         if z > 0.1 and 0 <= column < 6 and 0 <= row < 6:
             expected[row, column] = min(expected[row, column], z)

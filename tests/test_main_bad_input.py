@@ -10,7 +10,7 @@ from dpc_jax.config import from_fields
 from dpc_jax.outputs import explain
 from dpc_jax.run import pipeline, setup
 from dpc_jax.run.report.judging import judge_finally
-from dpc_jax.run.workdir import FREE_FIELDS, claim_workdir
+from dpc_jax.run.workdir import FREE_FIELDS, claim_workdir, hold_workdir
 
 
 @pytest.fixture
@@ -132,6 +132,23 @@ def test_a_workdir_of_another_config_is_refused_naming_what_differs(config, tmp_
     error = refuse(config, workdir)
     assert "pose.num_heads (2 there, 3 here), train.steps (20 there, 21 here)" in error
     assert (workdir / "config.json").read_text() == before
+
+
+def test_a_workdir_in_use_is_refused_and_its_config_is_left_alone(config, tmp_path):
+    claim_workdir(tmp_path, from_fields(config.to_dict()))
+    before = (tmp_path / "config.json").read_bytes()
+    config.train.learning_rate = 0.5
+    with hold_workdir(tmp_path):
+        assert "used by one command at a time" in refuse(config, tmp_path)
+    assert (tmp_path / "config.json").read_bytes() == before
+    # Of the one that used it nothing is left.
+    assert [path.name for path in tmp_path.iterdir()] == ["config.json"]
+
+
+def test_a_config_of_another_program_is_refused_and_left_alone(config, tmp_path):
+    (tmp_path / "config.json").write_text('{"editor": "mine"}')
+    assert "config must have no other fields" in refuse(config, tmp_path)
+    assert (tmp_path / "config.json").read_text() == '{"editor": "mine"}'
 
 
 def test_a_start_that_was_refused_leaves_its_workdir_to_a_better_one(config, tmp_path):

@@ -15,7 +15,7 @@ from dpc_jax.config import (
     to_config_dict,
     to_json,
 )
-from dpc_jax.run.setup import make_data_specs, make_network
+from dpc_jax.run.setup import make_data_specs
 
 
 @pytest.mark.parametrize(
@@ -111,21 +111,9 @@ def test_whole_numbers_stand_for_real_ones():
     assert read == change(Config("car"), "render", focal_length=2.0)
 
 
-def test_the_naive_variant_is_one_regressor_without_a_student():
-    config = load("car", "naive")
-    assert config.pose.learned_heads == 1
-    assert not config.pose.half_turns and not config.pose.choices
-    _, shapes = parameter_shapes(config)
-    assert not any(name.startswith("student") for name in shapes)
-
-
 def test_labels_teach_an_ensemble_only_where_a_student_selects_from_it():
-    config = load("car", "gt_pose")
-    assert config.pose.learned_heads == 8 and config.pose.choices == 8
-    assert config.pose.aligned and not config.pose.half_turns
-    paper = load("car", "paper,gt_pose")
-    assert paper.pose.learned_heads == 1 and paper.pose.choices == 0
-    _, shapes = parameter_shapes(paper)
+    assert load("car", "gt_pose").pose.choices == 8
+    _, shapes = parameter_shapes(load("car", "paper,gt_pose"))
     assert {name.split("/")[0] for name in shapes} == {"encoder", "shape", "pose"}
     assert shapes["pose/heads/Dense_0/kernel"] == (1, 1024, 4)  # as the naive one
 
@@ -173,20 +161,3 @@ def test_every_source_reaches_all_splits_with_what_belongs_to_it(source):
         assert spec.crop == "view" and spec.models is None
         assert spec.surface_voxel == 0.01
         assert bool(spec.visible_points) == (source == "shapenet")
-
-
-@pytest.mark.parametrize(
-    ("variant", "is_contained"),
-    [("ours_v", True), ("ptn,32", True), ("drc,known_pose", False)]
-    + [("ours_v,gt_pose", False), ("mvc", False)],
-)
-def test_cells_are_contained_where_poses_have_to_be_found(variant, is_contained):
-    head = make_network(load("chair", variant)).shape
-    assert head.kind == "voxels" and head.is_contained == is_contained
-
-
-@pytest.mark.parametrize("variant", ["ours_v", "ptn", "drc", "epcg"])
-def test_learning_rates_of_baselines_are_tuned_for_quick_runs_alone(variant):
-    assert load("chair", variant).train.learning_rate == 1e-3
-    assert load("chair", f"paper,{variant}").train.learning_rate == 1e-4
-    assert load("chair", "known_pose").train.learning_rate == 3e-4

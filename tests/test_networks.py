@@ -126,6 +126,8 @@ def test_a_tint_adds_one_number_per_point_and_reaches_colours_alone():
     changed = {name for name in dark if not np.array_equal(dark[name], light[name])}
     assert changed == {"colors"}
     assert np.all(np.asarray(light["colors"]) > np.asarray(dark["colors"]))
+    # Around that of the config.
+    np.testing.assert_allclose(light["focal_lengths"], 1.875, rtol=0.3)
 
 
 def test_the_tint_is_that_of_the_object_without_the_background():
@@ -234,14 +236,6 @@ def test_camera_heads_start_near_the_middle_and_stay_in_range():
     assert np.abs(first).max() < 0.1 and np.std(first, axis=0).min() > 0
     far = np.asarray(head.apply(params, 1e4 * features))
     assert np.abs(far).max() <= 0.15
-
-
-def test_a_focal_length_is_predicted_around_that_of_the_config():
-    network = ShapePoseNetwork(ENCODER, CLOUD, focal=BoundedHead(1, 0.3))
-    output = run(network, jax.random.normal(jax.random.key(1), (3, 16, 16, 3)))
-    assert set(output) == {"points", "scale", "focal_lengths"}
-    assert output["focal_lengths"].shape == (3,)
-    np.testing.assert_allclose(output["focal_lengths"], 1.875, rtol=0.3)
 
 
 def test_an_encoder_that_sees_masks_has_a_fourth_channel_and_refuses_three():

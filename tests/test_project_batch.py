@@ -4,15 +4,13 @@ In float64, so that differences are rounding, on the tests' four CPU devices.
 """
 
 import functools
-import os
-import subprocess
-import sys
 
 import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
 from jax.sharding import AxisType, NamedSharding, PartitionSpec
+from tiny_runs import run_python
 
 import dpc_jax
 from dpc_jax.render.devices import count_cores
@@ -213,12 +211,7 @@ def test_cores_cannot_become_devices_once_jax_has_started():
 
 @pytest.mark.parametrize("before, found", [("3", 3), (None, count_cores())])
 def test_all_cores_are_those_of_the_process_unless_the_environment_says(before, found):
-    environment = {k: v for k, v in os.environ.items() if k != "JAX_NUM_CPU_DEVICES"}
-    if before:
-        environment["JAX_NUM_CPU_DEVICES"] = before
     code = "import dpc_jax, jax; n = dpc_jax.use_all_cores(); "
     code += "print(n, len(jax.devices('cpu')))"
-    done = subprocess.run(
-        [sys.executable, "-c", code], env=environment, capture_output=True, text=True
-    )
+    done = run_python("-c", code, JAX_NUM_CPU_DEVICES=before)
     assert done.stdout.split() == [str(found)] * 2, done.stderr

@@ -4,7 +4,6 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from scipy.interpolate import BSpline
 
 import dpc_jax
 from dpc_jax.measure.stability import oracles
@@ -22,22 +21,15 @@ def draw_inside(shape, count=20):
 
 
 @pytest.mark.parametrize("order", [1, 2, 3])
-@pytest.mark.parametrize("shape", [(9, 7, 11), (1, 2, 9), (3, 7, 1)])
-def test_a_point_gives_each_cell_the_spline_at_its_distance(order, shape):
+@pytest.mark.parametrize("shape", [(1, 2, 9), (3, 7, 1)])
+def test_splines_reach_over_the_faces_of_a_thin_volume(order, shape):
     places, values = draw_inside(shape), RNG.uniform(size=20)
-    spline = BSpline.basis_element(
-        np.arange(order + 2) - (order + 1) / 2, extrapolate=False
-    )
-    right = np.zeros(shape)
-    for place, value in zip(places, values, strict=True):
-        axes = (np.arange(n) - x for n, x in zip(shape, place, strict=True))
-        row, col, depth = (np.nan_to_num(spline(axis)) for axis in axes)
-        right += value * row[:, None, None] * col[:, None] * depth
     with jax.enable_x64(True):
         inputs = jnp.asarray(places), jnp.asarray(values), shape
         found = splatting.splat_inside(*inputs, order)
     # float64, sums of some 60 products.
-    np.testing.assert_allclose(found, right, atol=1e-14)
+    expected = oracles.splat(places, values, shape, order)
+    np.testing.assert_allclose(found, expected.astype(float), atol=1e-14)
 
 
 def smooth_directly(volume, sigma):

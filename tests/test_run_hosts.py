@@ -8,6 +8,7 @@ import sys
 from pathlib import Path
 
 import pytest
+from tiny_runs import run_python
 
 from dpc_jax.config import Config, name_differences, replace_fields
 from dpc_jax.learning.training.agreement import list_versions
@@ -117,13 +118,10 @@ def test_processes_that_do_not_come_are_waited_for_only_so_long(tmp_path):
     """Then jax ends the process, with words of its own."""
     address = f"127.0.0.1:{find_port()}"
     flags = [f"--coordinator={address}", "--processes=2", "--process=1"]
-    done = subprocess.run(
-        [sys.executable, "-m", "dpc_jax.main", f"--config={ROOT}/configs/debug.py"]
-        + [*flags, f"--workdir={tmp_path / 'w'}"],
-        capture_output=True,
-        text=True,
-        timeout=300,
-        env=os.environ | {"JAX_PLATFORMS": "cpu", "DPC_JAX_JOIN_SECONDS": "2"},
+    done = run_python(
+        *("-m", "dpc_jax.main", f"--config={ROOT}/configs/debug.py"),
+        *(*flags, f"--workdir={tmp_path / 'w'}"),
+        DPC_JAX_JOIN_SECONDS="2",
     )
     assert done.returncode != 0 and "DEADLINE_EXCEEDED" in done.stderr
     said = f"Process 1 waits up to 2 s for all 2 processes of the job at {address}."

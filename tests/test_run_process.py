@@ -2,11 +2,10 @@
 
 import os
 import signal
-import subprocess
-import sys
 
 import jax
 import pytest
+from tiny_runs import run_python
 
 from dpc_jax.run.process import (
     catch_signals,
@@ -36,14 +35,9 @@ sys.exit(run_command(lambda: Task(work, out=pathlib.Path("."), interrupted="")))
 
 def start(home):
     """(folder, what happened) of a process that compiles one program."""
-    ours = ("COMPILATION_CACHE", "TF_CPP")
-    cleared = {n: v for n, v in os.environ.items() if not any(o in n for o in ours)}
-    done = subprocess.run(
-        [sys.executable, "-c", COMPILE],
-        capture_output=True,
-        text=True,
-        env=cleared | {"XDG_CACHE_HOME": str(home)},
-    )
+    ours = [n for n in os.environ if "COMPILATION_CACHE" in n or "TF_CPP" in n]
+    cleared = dict.fromkeys(ours) | {"XDG_CACHE_HOME": str(home)}
+    done = run_python("-c", COMPILE, **cleared)
     assert done.returncode == 0 and done.stderr == "", done.stderr
     return done.stdout.split()
 

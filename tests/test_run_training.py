@@ -1,17 +1,14 @@
 """A run that begins with the parameters of another one; memory of the device."""
 
-import dataclasses
 import os
 import shutil
 from types import SimpleNamespace
 
 import jax
 import pytest
-from tiny_runs import assert_same_bits, make_network, tiny_config
+from tiny_runs import assert_same_bits, make_network, tiny_config, write_workdir
 
-from dpc_jax.config import to_json
 from dpc_jax.learning.step import init_state
-from dpc_jax.learning.training.checkpoints import Checkpoints
 from dpc_jax.run.pipeline import begin_run, check_memory
 
 CONFIG = tiny_config()
@@ -21,16 +18,11 @@ CONFIG = tiny_config()
 def saved(tmp_path_factory):
     """Workdir of a run of another seed and more steps, and its state at step 7."""
     folder = tmp_path_factory.mktemp("runs") / "first"
-    folder.mkdir()
-    config = dataclasses.replace(tiny_config(steps=40), seed=5)
-    (folder / "config.json").write_text(to_json(config))
+    config = tiny_config(steps=40, seed=5)
     state = init_state(make_network(config), config)
     optimizer = jax.tree.map(lambda a: a + 1, state.optimizer)
-    checkpoints = Checkpoints(folder / "checkpoints")
     last = state._replace(step=state.step + 7, optimizer=optimizer)
-    checkpoints.save(last, seconds=9.0)
-    checkpoints.close()
-    return folder, last
+    return write_workdir(folder, config, state=last), last
 
 
 @pytest.fixture

@@ -177,18 +177,3 @@ def test_an_interrupted_run_keeps_the_subjects_that_are_done(
     assert "subjects are in" in capsys.readouterr().err
     (row,) = read_json(tmp_path)["rows"]
     assert row["subject"] == "sum"
-
-
-def test_the_quick_form_runs_fast_cases_in_float32_under_vmap(tmp_path, install):
-    seen = []
-
-    def square(x):
-        seen.append(x.dtype.name)
-        return x * x
-
-    install(make_case(square), make_case(square, name="slow", is_slow=True))
-    assert run(tmp_path, "--quick") == 0
-    assert seen == ["float32"]  # traced once, which is for `vmap` alone
-    (row,) = read_json(tmp_path)["rows"]
-    assert row["dtype"] == "float32" and row["case"] == "a square"
-    assert "--quick" in (tmp_path / "stability.md").read_text()

@@ -1,8 +1,6 @@
 """The libraries compute right."""
 
-import os
-import subprocess
-import sys
+from tiny_runs import run_python
 
 PRODUCTS = """
 import jax, jax.numpy as jnp, numpy as np
@@ -21,11 +19,5 @@ for dtype, rows in (np.float32, 32_769), (np.float64, 32_768):
 
 def test_products_of_many_rows_are_those_of_numpy():
     """As users compile: without the flags of the tests."""
-    environment = {n: v for n, v in os.environ.items() if n != "XLA_FLAGS"}
-    done = subprocess.run(
-        [sys.executable, "-c", PRODUCTS],
-        env=environment,
-        capture_output=True,
-        text=True,
-    )
+    done = run_python("-c", PRODUCTS, XLA_FLAGS=None)
     assert done.stdout.split() == ["0", "0"], done.stdout + done.stderr

@@ -12,7 +12,6 @@ import trimesh
 import viser
 from scipy.spatial.transform import Rotation
 
-from dpc_jax import view
 from dpc_jax.config import Render
 from dpc_jax.data.viewpoints import look_at_rotation, matrix_to_quaternion
 from dpc_jax.evaluation.rotations import view_angles
@@ -45,27 +44,6 @@ def test_a_cloud_its_surface_and_its_views_are_one_shape_in_the_object_frame(tmp
     upright = trimesh.load(io.BytesIO(one.surface), file_type="glb").to_mesh()
     corners = turned.apply(np.array(upright.bounds))
     np.testing.assert_allclose(corners, box.bounds, atol=1e-6)
-
-
-@pytest.mark.parametrize(
-    ("given", "words"),
-    [
-        (["a.txt"], "Expected a file that ends with .ply"),
-        (["a.ply"], "Expected a shape in"),
-        (["empty"], "Expected a run or shapes"),
-        (["a.ply", "--port=65536"], "--port must be a number from 1 to 65535"),
-    ],
-)
-def test_what_cannot_be_shown_is_refused_in_a_sentence(
-    tmp_path, capsys, monkeypatch, given, words
-):
-    monkeypatch.chdir(tmp_path)
-    for name in ("a.txt", "a.ply"):
-        (tmp_path / name).write_text("no shape")
-    (tmp_path / "empty").mkdir()
-    assert view.main(given) == 1
-    (line,) = capsys.readouterr().err.strip().splitlines()
-    assert line.startswith("Error: ") and words in line
 
 
 def test_a_surface_is_the_same_whatever_its_file(tmp_path):

@@ -1,23 +1,29 @@
 """Tiny configs, networks, batches and data sets, shared by the tests of learning."""
 
+import contextlib
 import dataclasses
+import json
+import os
+import subprocess
+import sys
+from pathlib import Path
 
 import jax
 import jax.numpy as jnp
 import numpy as np
-from scipy.spatial.transform import Rotation
+from data_trees import DISTANCE, FOCAL_LENGTH, project_points
 
-from dpc_jax.config import Config, replace_fields
+from dpc_jax.config import Config, replace_fields, to_json
 from dpc_jax.data import DataSet
 from dpc_jax.learning.batches import repeat_seed
 from dpc_jax.learning.recipe import Averages, Recipe
 from dpc_jax.learning.schedules import find_stage
 from dpc_jax.learning.step import TrainState, init_state, make_train_step
+from dpc_jax.learning.training.checkpoints import Checkpoints
 from dpc_jax.networks import ShapePoseNetwork
 from dpc_jax.run.setup import make_network as make_network
 
 IMAGE_SIZE = 16  # pixels, the smallest that the encoder takes
-FOCAL_LENGTH, DISTANCE = 1.875, 2.0
 make_state = init_state  # at step 0
 
 # The plain method of the paper in miniature; every extra is off.
@@ -101,6 +107,32 @@ def make_step(network: ShapePoseNetwork, config: Config, *, step: int = 0):
     return make_train_step(network, config, stage)
 
 
+def write_workdir(folder, config: Config, *, metrics=None, state=None):
+    """The folder of a run: finished with metrics, with a checkpoint of a state."""
+    folder.mkdir(parents=True, exist_ok=True)
+    (folder / "config.json").write_text(to_json(config))
+    if metrics is not None:
+        (folder / "report").mkdir()
+        (folder / "report" / "metrics.json").write_text(json.dumps(metrics))
+    if state is not None:
+        with contextlib.closing(Checkpoints(folder / "checkpoints")) as checkpoints:
+            checkpoints.save(state, seconds=9.0)
+    return folder
+
+
+def run_python(*words: str, **environment: str | None):
+    """The ended process of Python in this folder; None takes a variable away."""
+    both = os.environ | {"JAX_PLATFORMS": "cpu"} | environment
+    return subprocess.run(
+        [sys.executable, *words],
+        capture_output=True,
+        text=True,
+        cwd=Path(__file__).parent,
+        timeout=300,
+        env={name: value for name, value in both.items() if value is not None},
+    )
+
+
 def copy(tree):
     """A copy whose memory a training step may take."""
     return jax.tree.map(jnp.copy, tree)
@@ -112,19 +144,10 @@ def random_quaternions(seed: int, *shape: int) -> np.ndarray:
     return q / np.linalg.norm(q, axis=-1, keepdims=True)
 
 
-def rotation_matrix(quaternion) -> np.ndarray:
-    """Rotation matrix [3, 3] of a quaternion, by scipy."""
-    return Rotation.from_quat(
-        np.asarray(quaternion, np.float64), scalar_first=True
-    ).as_matrix()
-
-
 def draw_mask(points, quaternion, *, size: int = IMAGE_SIZE, radius=1.0) -> np.ndarray:
     """Bytes [size, size]: 255 within `radius` pixels of a projected point."""
-    x, y, z = rotation_matrix(quaternion) @ np.asarray(points, np.float64).T
-    columns = (FOCAL_LENGTH * x / (z + DISTANCE) + 0.5) * size - 0.5
-    rows = (FOCAL_LENGTH * y / (z + DISTANCE) + 0.5) * size - 0.5
-    i, j = np.mgrid[:size, :size]
+    rows, columns, _ = project_points(points, quaternion, size)
+    i, j = np.mgrid[:size, :size] + 0.5
     square = (i[..., None] - rows) ** 2 + (j[..., None] - columns) ** 2
     return np.where(square.min(-1) <= radius**2, 255, 0).astype(np.uint8)
 
