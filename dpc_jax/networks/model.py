@@ -25,8 +25,8 @@ class ShapePoseNetwork(nn.Module):
       student: a `PoseStudent`, or a `PoseSelector` among the candidates, turned ones
         included; None with one head, which is its own student.
       translation: predicts where in the frame the object is, or None.
-      focal: predicts the share by which a view's focal length differs from
-        `focal_length`, or None.
+      focal: predicts the share by which a view's focal length differs, or None.
+      focal_length: from which it differs.
       pose_encoder, judge: of MVC, which predicts poses from features of their own, and
         has a `PoseJudge`; both or neither.
       is_tinted: colours of points are predicted from the mean colour of the image's
