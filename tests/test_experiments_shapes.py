@@ -150,7 +150,7 @@ def test_errors_of_all_kinds_of_points_are_drawn_over_their_number(
     tmp_path, monkeypatch
 ):
     def draw_gaussians(shapes, path):
-        assert shapes == {"": "0", "sigma": "sigma20"}  # of first runs
+        assert shapes == {"": "10", "sigma": "sigma20"}  # of first runs
         return path
 
     monkeypatch.setattr(point_sizes, "predict_gaussians", lambda workdir: workdir.name)
@@ -160,7 +160,7 @@ def test_errors_of_all_kinds_of_points_are_drawn_over_their_number(
         for kind in ("", "sigma")
         for count in (20, 60)
     ]
-    unknown = write_error(tmp_path / "0", "", 20, {})
+    unknown = write_error(tmp_path, "", 10, {})
     _, ((path, _), _) = point_sizes.run(tmp_path, [unknown, *workdirs])
     assert "<svg" in path.read_text() and "learned isotropic" in path.read_text()
 

@@ -116,4 +116,4 @@ def test_without_the_3d_engine_the_page_says_so_and_shows_its_pictures(browser, 
     browser.wait_for(
         "document.querySelector('#predicted .say').textContent.includes('cannot')"
     )
-    assert browser.ask("document.querySelectorAll('.wide img').length") == 5
+    assert browser.ask("document.querySelectorAll('.wide img').length") == 4
