@@ -51,7 +51,7 @@ print(*COMMANDS)"); do
     "$folder/empty/bin/dpc_jax" "$name" $words 2>"$folder/said" || status=$?
     [ "$status" = 1 ]
     [ "$(wc -l <"$folder/said")" = 1 ]
-    grep -q "^Error: .*pip install 'dpc_jax\[learn\]'" "$folder/said"
+    grep -q "^Error: .*pip install 'dpc_jax\[learn[],]" "$folder/said"
 done
 "$folder/empty/bin/python" -m pip install --quiet "$wheel[learn]"
 "$folder/empty/bin/dpc_jax" train --config=debug:known_pose
