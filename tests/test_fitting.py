@@ -1,8 +1,8 @@
 """One object without a network: `dpc_jax.fit`, its search for poses, the command."""
 
 import dataclasses
+import importlib
 import json
-import types
 
 import jax
 import numpy as np
@@ -21,6 +21,7 @@ from dpc_jax.run.object_fitting import fit_folder, list_doubts
 SMALL = FitSettings(num_points=300, sides=(16, 32), steps=(60, 40), learning_rate=0.03)
 ONE_SIDE = FitSettings(num_points=300, sides=(32,), steps=(100,), learning_rate=0.03)
 COARSE = dataclasses.replace(SMALL, sides=(16,), steps=(60,))
+DIVERGING = dataclasses.replace(COARSE, steps=(3,), learning_rate=1e30)
 VIEWS = 9
 
 
@@ -184,11 +185,15 @@ def test_a_search_from_nothing_finds_most_poses(scene, monkeypatch):
         ({"colors": np.ones((3, 32, 32))}, "colors must be RGB images"),
         ({"settings": FitSettings(steps=(3,))}, "settings.steps must have a number"),
         ({"settings": FitSettings(camera_share=0.2)}, "camera_share must be a pair"),
+        (
+            {"settings": DIVERGING, "rotations": np.eye(4)[[0, 0, 0]]},
+            "a fit that converges, .* than 1e\\+30",
+        ),
     ],
 )
 def test_what_cannot_be_fitted_is_said_in_a_sentence(changes, words):
     """By the function, though the command is loaded, which has its name."""
-    assert isinstance(dpc_jax.fit, types.ModuleType)
+    importlib.import_module("dpc_jax.fit")
     arguments = {"silhouettes": np.ones((3, 32, 32)), "settings": SMALL} | changes
     with pytest.raises(ValueError, match=words):
         dpc_jax.fit(arguments.pop("silhouettes"), **arguments)

@@ -48,7 +48,8 @@ CAPTIONS = {
         "and one grid. The loss may climb while everything improves: at the dotted "
         "lines the number of points and the grid change, and between them the points "
         "become smaller. An accuracy that settles near 50 % hints at flipped poses; a "
-        "curve still moving at its right end asks for more steps.",
+        "curve still moving at its right end asks for more steps. The loss has a "
+        "logarithmic scale; candidates are alive that win at least 1 % of the views.",
     ),
     "signals": (
         "Rendered images",

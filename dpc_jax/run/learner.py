@@ -47,7 +47,11 @@ class Learner:
 
         if split == "val":
             threshold = volumes.find_threshold(found, self.sets["val"], self.align)
-        assert threshold is not None
+        if threshold is None:
+            raise ValueError(
+                "Expected the threshold of surfaces in the run's report, but there is "
+                "none; start the command that began the run again."
+            )
         return volumes.add_points(found, threshold), threshold
 
     def align(self, predictions: Predictions) -> Alignment:

@@ -68,15 +68,17 @@ class SynsetSource(Source):
                 f"of its {len(listed)} is there; give the split file of this set."
             )
         unlisted, absent = len(models.keys() - listed), len(listed - models.keys())
-        if unlisted or absent:
-            remark = f"leaves out {unlisted} models of the folder"
-            remark += f" and names {absent} that are not there"
-            self.remarks.append((str(self.official), remark))
+        parts = [f"leaves out {unlisted} models of the folder"] * bool(unlisted)
+        parts += [f"names {absent} that are not there"] * bool(absent)
+        if parts:
+            self.remarks.append((str(self.official), " and ".join(parts)))
         return sides
 
     def list_warnings(self) -> list[str]:
         """Whether the split is another one than that of published results."""
-        counts = tuple(len(self.sides[split]) for split in SPLITS)
+        counts = tuple(
+            sum(name in self.models for name in self.sides[split]) for split in SPLITS
+        )
         known = OFFICIAL.get(self.synset)
         if self.official is not None and (known is None or counts in known):
             return []

@@ -100,8 +100,8 @@ def fit(
       `Fit`: the points and their sizes, poses, silhouettes and overlaps of the views.
 
     Raises:
-      ValueError: for a wrong shape or range, an empty silhouette, or settings that do
-        not fit the images.
+      ValueError: for a wrong shape or range, an empty silhouette, settings that do
+        not fit the images, or a fit that diverges.
 
     Example:
       >>> disc = np.hypot(*np.mgrid[-7.5:8, -7.5:8]) < 6
@@ -259,6 +259,11 @@ def _begin(rotations, key, settings, learn, *, has_colors) -> Cloud:
 def _finish(cloud: Cloud, silhouettes, settings, camera, curve) -> Fit:
     """Render what was found beside what was given."""
     side, sigma = settings.sides[-1], settings.sigma[1]
+    if not all(np.isfinite(leaf).all() for leaf in jax.tree.leaves(cloud)):
+        raise ValueError(
+            "Expected a fit that converges, but it has left the range of float32; give "
+            f"a smaller learning_rate than {settings.learning_rate}."
+        )
     views = cloud.list_views(camera)
     image: Any = project_batch(
         cloud.points,

@@ -99,7 +99,10 @@ def compare_poses(
 def rank_poses(
     scene: Scene, poses: jax.Array, observation: Observation, *, config: Config
 ) -> jax.Array:
-    """Losses [n] as of `compare_poses`, coarse ones where the distance is known."""
+    """Losses [n] as of `compare_poses`, coarse ones where the distance is known.
+
+    Those of points with sizes of their own are exact, and take longer.
+    """
     if observation.frame is not None:
         return compare_poses(scene, poses, observation, config=config)
     target, own, _ = observation

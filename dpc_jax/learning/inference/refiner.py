@@ -65,7 +65,7 @@ def join_views(
     """What objects are fitted to.
 
     Args:
-      found: predictions with their evidence, whose views are numbered row by row.
+      found: predictions, whose views are numbered row by row.
       masks: [n, S, S] of all views.
       groups: the views of each object. Objects with fewer views than others have their
         last one repeated, without weight.

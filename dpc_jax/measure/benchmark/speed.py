@@ -8,12 +8,14 @@ from typing import Any
 import jax
 import jax.numpy as jnp
 import numpy as np
+from jax.sharding import PartitionSpec
 
 from dpc_jax.measure.benchmark.plan import SEED, Case
 from dpc_jax.measure.benchmark.pytorch import has_torch, make_torch_call
 from dpc_jax.measure.scenes import make_scenes
 from dpc_jax.measure.timing import measure_medians
 from dpc_jax.render import VoxelGrid, count_blocks, project, project_batch
+from dpc_jax.render.devices import choose_mesh, place
 
 # The whole volume of a larger grid takes more memory than many machines have.
 _WHOLE_UP_TO = 512
@@ -32,8 +34,15 @@ def _draw_work(case: Case) -> list[np.ndarray]:
 
 
 def _make_call(work, sigma) -> Callable[[], Any]:
-    """A call that gives the gradients of points, quaternions and masses."""
-    *inputs, targets = map(jnp.asarray, work)
+    """A call that gives the gradients of points, quaternions and masses.
+
+    Arrays lie where the steps of a descent would leave them: shared out among devices.
+    """
+    arrays = tuple(map(jnp.asarray, work))
+    mesh = choose_mesh(None, batch_size=len(work[0]))
+    if mesh is not None and len(work[0]) % mesh.size == 0:
+        arrays = place(arrays, mesh, PartitionSpec(mesh.axis_names))
+    *inputs, targets = arrays
     grid = VoxelGrid(targets.shape[-1])
 
     @jax.jit

@@ -105,7 +105,10 @@ def _connect(place):
 
 def _read_seconds(variable: str, default: int) -> int:
     with reading("a whole number of seconds", variable, f"set it to {default}"):
-        return int(os.environ.get(variable, default))
+        seconds = int(os.environ.get(variable, default))
+        if seconds < 1:
+            raise ValueError(f"{seconds} is less than one")
+        return seconds
 
 
 def _check_port(address):
