@@ -89,7 +89,7 @@ def test_shapes_views_and_candidates_are_shown_and_an_image_may_be_given(
 
     shown.add_upload(predict)
     browser.requests.clear()
-    browser.call("Page.navigate", url=address)
+    browser.page.goto(address)
     browser.wait_for(f"{TEXT}.includes('azimuth 30°, elevation 10°')")
     assert "0.75" in browser.ask(TEXT) and "71.5" in browser.ask(TEXT)
     browser.wait_for("document.querySelectorAll('canvas').length > 0")
@@ -99,14 +99,7 @@ def test_shapes_views_and_candidates_are_shown_and_an_image_may_be_given(
         ("car.png", "Shape of"),
     ):
         (tmp_path / name).write_bytes(b"content")
-        place = browser.call(
-            "Runtime.evaluate", expression="document.querySelector('input[type=file]')"
-        )
-        browser.call(
-            "DOM.setFileInputFiles",
-            files=[str(tmp_path / name)],
-            objectId=place["result"]["objectId"],
-        )
+        browser.page.set_input_files("input[type=file]", tmp_path / name)
         browser.wait_for(f"{TEXT}.includes({json.dumps(answer)})")
         # No path of the server's own folders is told.
         assert "/tmp" not in browser.ask(TEXT)
