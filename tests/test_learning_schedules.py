@@ -1,4 +1,4 @@
-"""Schedules over a run, the learned scale, and the penalty on weights."""
+"""Schedules over a run, and the learned scale."""
 
 import dataclasses
 
@@ -15,10 +15,8 @@ from dpc_jax.learning.schedules import (
     find_stage,
     is_framing,
     list_spans,
-    make_learning_rate,
 )
 from dpc_jax.learning.shapes.points import Points, compute_mass
-from dpc_jax.learning.step import find_penalized, make_optimizer
 from dpc_jax.render import Camera, VoxelGrid, voxelize
 
 SIDE = 33  # odd: the origin is a cell's centre
@@ -84,29 +82,6 @@ def test_spans_are_the_stages_of_the_steps_in_their_order(fields):
     ]
 
 
-def rates(*steps, **changes):
-    schedule = make_learning_rate(tiny_config(**changes).train)
-    return [float(schedule(step)) for step in steps]
-
-
-def test_the_learning_rate_warms_up_and_decays_as_a_cosine():
-    found = rates(
-        *(0, 1, 200, 700, 1200, 2000),
-        **dict(steps=1200, learning_rate=1e-2, schedule="cosine"),
-    )
-    # The first step already moves, by 1 / 200 of the peak. The line of the warm-up
-    # reaches the peak at step 200.
-    second = 5e-5 + 1e-2 * 0.995 / 200
-    expected = [5e-5, second, 1e-2, 1e-2 * 1.02 / 2, 2e-4, 2e-4]
-    assert found == pytest.approx(expected, rel=1e-4)
-
-
-@pytest.mark.parametrize("steps", [1, 4, 20])
-def test_the_warm_up_of_a_short_run_takes_a_fifth_of_it(steps):
-    found = rates(*range(steps), steps=steps, schedule="cosine", learning_rate=1e-3)
-    assert found[steps // 5] == max(found) == pytest.approx(1e-3, rel=1e-5)
-
-
 # The learned scale.
 
 
@@ -147,33 +122,6 @@ def test_a_fixed_scale_is_that_number_for_every_object():
     np.testing.assert_array_equal(shapes.scale, np.float32([0.7, 0.7]))
     np.testing.assert_array_equal(shapes.mass, np.float32([0.7, 0.7]))
     assert "scale" not in params["params"]["shape"]
-
-
-def test_the_penalty_is_half_the_squared_weights_in_the_loss_before_adam():
-    """Of weights of encoder and shape only."""
-    rng = np.random.default_rng(0)
-    leaves = ("kernel", "bias")
-    params = {
-        "params": {
-            name: {leaf: jnp.asarray(rng.normal(size=3)) for leaf in leaves}
-            for name in ("encoder", "shape", "pose")
-        }
-    }
-    chosen = find_penalized(params)
-    assert chosen["params"] == {
-        name: {"kernel": name != "pose", "bias": False} for name in params["params"]
-    }
-
-    plain, ours = (
-        make_optimizer(tiny_config(l2_weight=weight).train) for weight in (0.0, 0.01)
-    )
-    gradient = jax.tree.map(jnp.cos, params)
-    whole = jax.tree.map(lambda g, a, on: g + 0.01 * a * on, gradient, params, chosen)
-    expected, _ = plain.update(whole, plain.init(params), params)
-    found, _ = ours.update(gradient, ours.init(params), params)
-    jax.tree.map(
-        lambda a, b: np.testing.assert_allclose(a, b, rtol=1e-5), found, expected
-    )
 
 
 def test_grids_beyond_128_begin_when_blocks_can_draw_their_points():

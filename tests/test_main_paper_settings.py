@@ -7,8 +7,8 @@ import pytest
 from config_files import load, parameter_shapes
 
 from dpc_jax.config import ELEVATIONS
-from dpc_jax.learning.schedules import compute_sigma, make_learning_rate
-from dpc_jax.learning.step import make_optimizer
+from dpc_jax.learning.optimizer import make_learning_rate, make_optimizer
+from dpc_jax.learning.schedules import compute_sigma
 from dpc_jax.networks.encoder import leaky_relu
 from dpc_jax.run.setup import make_data_specs, make_network
 

@@ -58,7 +58,7 @@ def from_fields(values: Any) -> Config:
 
 
 def list_fields(config: Config) -> dict[str, Any]:
-    """Every field by its name, as {"train.steps": 6300}."""
+    """Every field by its name, as {"train.steps": 4200}."""
     found = {}
     for name, value in dataclasses.asdict(config).items():
         if isinstance(value, dict):

@@ -205,12 +205,14 @@ class Pose:
 class Train:
     """Steps, batches, the optimiser and the weights of the losses."""
 
-    steps: int = field(6300, at_least(1))  # in all; the schedules end there
+    steps: int = field(4200, at_least(1))  # in all; the schedules end there
     init_from: str = ""  # workdir of the run whose parameters are the first
     models_per_batch: int = field(4, at_least(1))  # (§ Training details)
     views_per_batch: int = field(4, at_least(1))  # of each model
-    learning_rate: float = field(3e-4, above(0))  # of Adam, at its peak
-    schedule: str = field("cosine", one_of("cosine", "constant"))  # of that rate
+    learning_rate: float = field(3e-4, above(0))  # at its peak
+    # Muon for convolutions, Adam for all else, with a warm-up and a cosine decay; or
+    # Adam at a constant rate, as the paper.
+    optimizer: str = field("muon", one_of("muon", "adam"))
     l2_weight: float = field(0.0, at_least(0))  # half squared weights (released code)
     # The network sees half of the views cut out by their masks, as photographs are.
     framed_views: bool = True

@@ -54,7 +54,7 @@ VARIANTS: dict[str, Changes] = {
         "train": {
             "steps": 600_000,
             "learning_rate": 1e-4,
-            "schedule": "constant",
+            "optimizer": "adam",
             "framed_views": False,
             "spread_masks": False,
             "pull_weight": 0.0,

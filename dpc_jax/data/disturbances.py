@@ -27,13 +27,18 @@ def add_noise(image: np.ndarray, mask: np.ndarray, rng: np.random.Generator) -> 
 
 
 def blur(image: np.ndarray, mask: np.ndarray, rng: np.random.Generator) -> View:
-    """A Gaussian of one pixel of 64; the mask is blurred, too."""
+    """A Gaussian of one pixel of 64."""
     del rng
     width = _BLUR * len(mask)
     soft = ndimage.gaussian_filter(image.astype(np.float32), (width, width, 0))
-    return _to_bytes(soft), _to_bytes(
-        ndimage.gaussian_filter(mask.astype(np.float32), width)
-    )
+    return _to_bytes(soft), mask
+
+
+def blur_mask(image: np.ndarray, mask: np.ndarray, rng: np.random.Generator) -> View:
+    """The mask is blurred as `blur` does images; the image is sharp."""
+    del rng
+    soft = ndimage.gaussian_filter(mask.astype(np.float32), _BLUR * len(mask))
+    return image, _to_bytes(soft)
 
 
 def cast_shadow(image: np.ndarray, mask: np.ndarray, rng: np.random.Generator) -> View:
@@ -86,6 +91,7 @@ def spoil_mask(image: np.ndarray, mask: np.ndarray, rng: np.random.Generator) ->
 DISTURBANCES: Mapping[str, Callable[..., View]] = {
     "noise": add_noise,
     "blur": blur,
+    "blurred mask": blur_mask,
     "shadow": cast_shadow,
     "off centre": move_off_centre,
     "wrong mask": spoil_mask,

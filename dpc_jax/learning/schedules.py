@@ -1,4 +1,4 @@
-"""Schedules over a run: point size, dropout, learning rate (§ Training details)."""
+"""Schedules over a run: point size, dropout, stages (§ Training details)."""
 
 import bisect
 from typing import NamedTuple
@@ -6,9 +6,8 @@ from typing import NamedTuple
 import chex
 import jax
 import jax.numpy as jnp
-import optax
 
-from dpc_jax.config import Render, Train
+from dpc_jax.config import Render
 
 # Share of a run from which winners are rendered in the fine grid. A later start leaves
 # fewer steps for outlines; an earlier one costs time while shapes still form.
@@ -26,9 +25,6 @@ _ROOM = 1 / 8
 # turned round, and a few of them lead it astray (docs/log.md).
 _FRAME_FROM, _FRAME_UNTIL = 0.2, 0.5
 PULL_FROM = 0.5  # before it poses are too often wrong to pull points into silhouettes
-# Steps until the peak rate: Adam's moments settle. Of short runs at most a fifth.
-WARMUP = 200
-FINAL_RATE = 0.02  # share of the peak at the end
 
 
 def compute_sigma(step: chex.Numeric, render: Render, *, steps: int) -> jax.Array:
@@ -121,18 +117,3 @@ def list_spans(render: Render, *, steps: int) -> tuple[Span, ...]:
         spans.append(Span(start, start + later, stage))
         start += later
     return tuple(spans)
-
-
-def make_learning_rate(train: Train) -> optax.Schedule:
-    """The paper's constant rate, or a linear warm-up to it and a cosine decay."""
-    peak = train.learning_rate
-    if train.schedule == "constant":
-        return optax.constant_schedule(peak)
-    warmup = min(WARMUP, train.steps // 5)
-    return optax.warmup_cosine_decay_schedule(
-        init_value=peak / max(1, warmup),
-        peak_value=peak,
-        warmup_steps=warmup,
-        decay_steps=train.steps,
-        end_value=peak * FINAL_RATE,
-    )

@@ -10,9 +10,10 @@ import numpy as np
 import optax
 from jax.sharding import Mesh, NamedSharding
 
-from dpc_jax.config import Config, Train
+from dpc_jax.config import Config
 from dpc_jax.learning import devices, schedules
 from dpc_jax.learning.objective import compute_loss
+from dpc_jax.learning.optimizer import make_optimizer
 from dpc_jax.learning.recipe import Averages, Recipe
 from dpc_jax.networks import ShapePoseNetwork
 
@@ -31,25 +32,6 @@ class TrainState(NamedTuple):
     params: optax.Params
     optimizer: optax.OptState
     averages: Averages
-
-
-def make_optimizer(train: Train) -> optax.GradientTransformation:
-    """Adam; `l2_weight` adds the gradient of a penalty before, as the released code."""
-    adam = optax.adam(schedules.make_learning_rate(train))
-    if train.l2_weight:
-        penalty = optax.add_decayed_weights(train.l2_weight, mask=find_penalized)
-        return optax.chain(penalty, adam)
-    return adam
-
-
-def find_penalized(params: optax.Params) -> optax.Params:
-    """Which parameters `l2_weight` is for: weights, no biases, of encoder and shape."""
-
-    def is_penalized(path, _):
-        keys = [entry.key for entry in path]
-        return keys[-1] == "kernel" and not {"encoder", "shape"}.isdisjoint(keys)
-
-    return jax.tree_util.tree_map_with_path(is_penalized, params)
 
 
 def init_state(network: ShapePoseNetwork, config: Config) -> TrainState:
