@@ -21,7 +21,7 @@ CHANGES = {
     # that of one from the front; lamps tell them apart.
     "pose": {"common_frame": "colors"},
     # Spreads the points over the surface of a solid body; thin shapes it blows apart.
-    "train": {"repulsion_weight": 8.0},
+    "train": {"repulsion_weight": 12.0},
 }
 
 
