@@ -7,8 +7,8 @@ import optax
 from dpc_jax.config import Train
 
 # Steps until the peak rate: Adam's moments settle. Of short runs at most a fifth.
-WARMUP = 200
-FINAL_RATE = 0.02  # share of the peak at the end
+_WARMUP = 200
+_FINAL_RATE = 0.02  # share of the peak at the end
 _MOMENTUM = 0.95  # of Muon (Jordan)
 # Five steps of this odd polynomial bring all singular values of a matrix of norm 1 to
 # 0.7 to 1.2, but those below a few thousandths of the norm (Jordan).
@@ -24,13 +24,13 @@ def make_learning_rate(train: Train) -> optax.Schedule:
     peak = train.learning_rate
     if train.optimizer == "adam":
         return optax.constant_schedule(peak)
-    warmup = min(WARMUP, train.steps // 5)
+    warmup = min(_WARMUP, train.steps // 5)
     return optax.warmup_cosine_decay_schedule(
         init_value=peak / max(1, warmup),
         peak_value=peak,
         warmup_steps=warmup,
         decay_steps=train.steps,
-        end_value=peak * FINAL_RATE,
+        end_value=peak * _FINAL_RATE,
     )
 
 
