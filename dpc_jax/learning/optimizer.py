@@ -70,7 +70,8 @@ def orthogonalize(kernel: jax.Array) -> jax.Array:
     # So that no square overflows, and the sum of squares is at least 1 or all are 0.
     largest = jnp.maximum(jnp.max(jnp.abs(rows)), jnp.finfo(rows.dtype).tiny)
     rows = rows / largest
-    # Rounded as in TF32, eigenvalues of 0 turn negative, and the steps enlarge those.
+    # Products rounded as in TF32 give directions without a gradient 0.005 of a whole
+    # update instead of 2e-6 (1152 x 128, rank 20).
     with jax.default_matmul_precision("highest"):
         gram = rows.T @ rows
         norm = jnp.maximum(jnp.trace(gram), 1)
