@@ -13,7 +13,7 @@ CHANGES = {
     # A large surface: holes between 2000 points are a tenth of the error.
     # Half the width of the layer before them keeps the parameters and the time.
     # Each half of them has to explain the images: few are left where none shows.
-    "render": {"num_points": 4000, "keep_end": 0.5},
+    "render": {"num_points": 4000, "keep_start": 0.5, "keep_end": 0.5},
     "network": {"shape_hidden": 256},
     # A truck turned round has the silhouette of a car, and a car from behind nearly
     # that of one from the front; lamps tell them apart.

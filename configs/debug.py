@@ -12,7 +12,7 @@ SMALL = {
         surface_points=10_000,
     ),
     "network": dict(channels=4, hidden=32, shape_hidden=32),
-    "render": dict(grid=16, fine_grid=32, num_points=100, keep_levels=2),
+    "render": dict(grid=16, fine_grid=32, num_points=100),
     "train": dict(steps=20),
     "log": dict(every=5, evaluate=10, checkpoint=10),
 }

@@ -17,7 +17,6 @@ FIELDS = {
     "train.steps": STEPS,
     "log.evaluate": STEPS,
     "log.checkpoint": 8,
-    "render.keep_levels": 1,
 }
 LOST = "all 2 processes of the job must go on, but"
 

@@ -32,7 +32,6 @@ EVERYTHING = dict(
     flips=True,
     common_frame="colors",
     student="selects",
-    keep_levels=1,
     repulsion_weight=0.1,
     containment_weight=1.0,
     learning_rate=3e-4,
@@ -119,7 +118,7 @@ def test_gradients_are_measured_when_asked_and_else_looked_at(bad):
 def test_volumes_are_learned_on_two_devices_as_on_one():
     found = []
     for count in (1, 2):
-        config = tiny_config(shape="voxels", source="given", keep_levels=1)
+        config = tiny_config(shape="voxels", source="given")
         config = replace_fields(config, {"run": {"devices": count}})
         network = make_network(config)
         state, metrics = make_step(network, config)(

@@ -203,7 +203,7 @@ def plain_objective(params, batch, *, network, config):
 
 def test_the_gradient_through_the_winner_alone_is_that_of_the_plain_minimum():
     """Without dropout."""
-    config = tiny_config(sigma_start=0.1, sigma_end=0.1, keep_start=1.0)
+    config = tiny_config(sigma_start=0.1, sigma_end=0.1, keep_start=1.0, keep_end=1.0)
     network, batch = make_network(config), make_batch()
     params = make_state(network, config).params
 

@@ -152,7 +152,7 @@ def test_repulsion_comes_in_over_the_second_half_and_is_0_before(monkeypatch):
 @pytest.fixture(scope="module")
 def known():
     """Known poses, and colour: one run learns both. Every other step is logged."""
-    learning = dict(keep_start=1.0, keep_levels=1, learning_rate=1e-2, every=2)
+    learning = dict(keep_start=1.0, keep_end=1.0, learning_rate=1e-2, every=2)
     return make_run(source="given", color_weight=0.5, num_points=32, **learning)
 
 

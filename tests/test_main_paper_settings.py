@@ -54,8 +54,7 @@ def test_training_dropout_falls_from_90_percent_and_points_from_5_to_a_third(sid
     config = load("car", f"paper,{side}")
     render, steps = config.render, config.train.steps
     assert (config.data.image_size, render.grid, render.fine_grid) == (side, side, 0)
-    kept = render.keep_start, render.keep_end, render.keep_levels
-    assert kept == (0.1, 1.0, 32)
+    assert (render.keep_start, render.keep_end) == (0.1, 1.0)
     sizes = [
         float(compute_sigma(s, render, steps=steps)) / side
         for s in (0, steps // 2, steps)

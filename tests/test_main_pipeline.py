@@ -38,7 +38,6 @@ EVALUATED = 40
 FIELDS = {
     "log.tensorboard": True,
     "run.devices": 1,
-    "render.keep_levels": 1,
     "train.steps": STEPS,
     "log.evaluate": EVALUATED,
     "log.checkpoint": 10,

@@ -135,10 +135,12 @@ def test_references_are_distances_of_clouds_that_see_no_image(sets):
 
 
 def test_stages_say_what_is_new_in_them():
-    config = tiny_config(steps=100, keep_levels=2, fine_grid=16)
+    config = tiny_config(
+        steps=100, keep_start=0.5, keep_end=0.6, num_points=10, fine_grid=16
+    )
     assert list_stages(config) == [
-        (0, "15 points, 8³ cells"),
-        (50, "24 points"),
+        (0, "5 points, 8³ cells"),
+        (50, "6 points"),
         (60, "16³ cells"),
     ]
 

@@ -12,10 +12,10 @@ from dpc_jax.config.sections import Config
 
 Changes = Mapping[str, Mapping[str, Any]]  # section: {field: value}
 
-# Of all voxel models: no points, so no sizes and no dropout that would need stages.
+# Of all voxel models: no points, so no sizes.
 _VOXELS = {
     "network": {"shape": "voxels"},
-    "render": {"fine_grid": 0, "keep_levels": 1},
+    "render": {"fine_grid": 0},
 }
 
 # Variants are applied in this order, whatever order they are given in.
@@ -38,8 +38,8 @@ VARIANTS: dict[str, Changes] = {
             "fine_grid": 0,
             "num_points": 8000,
             "anneal_until": 1.0,
+            "keep_start": 0.1,
             "keep_end": 1.0,
-            "keep_levels": 32,
             "scale_unit": "peak",  # c_i of Eq. 3
         },
         "pose": {
@@ -119,7 +119,7 @@ VARIANTS: dict[str, Changes] = {
     },
     "epcg": {
         "network": {"shape": "maps"},
-        "render": {"fine_grid": 0, "keep_levels": 1},
+        "render": {"fine_grid": 0},
         "pose": {"source": "given"},
         "train": {"depth_weight": 1.0},
     },

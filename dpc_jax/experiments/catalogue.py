@@ -69,7 +69,6 @@ def _change_point_sizes(kind: str, count: int) -> dict[str, Any]:
         "render.num_points": count,
         "render.scale_unit": "peak",
         "render.keep_start": 1.0,
-        "render.keep_levels": 1,
         "network.point_size": kind,
     }
     if not kind:

@@ -30,7 +30,6 @@ _REDUCED = {
     "data.surface_voxel": 0.0,
     "network.hidden": 512,
     "network.shape_hidden": 512,
-    "render.keep_levels": 4,  # each is a program to compile
     "log.every": 100,
     "log.evaluate": 1000,
     "log.checkpoint": 1000,
@@ -72,7 +71,7 @@ SIZES = {
             "network.channels": 4,
             "network.hidden": 32,
             "network.shape_hidden": 32,
-            "render.keep_levels": 1,  # one stage, one program to compile
+            "render.keep_start": 1.0,  # one stage, one program to compile
             "render.num_points": 200,
             "pose.choice_top": 0,
             "train.steps": 10,  # enough to log, validate, save

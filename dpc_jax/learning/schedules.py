@@ -9,6 +9,8 @@ import jax.numpy as jnp
 
 from dpc_jax.config import Render
 
+# Of point dropout: more of them are nearer to the line, but compile for longer.
+_STAIRS = 8
 # Share of a run from which winners are rendered in the fine grid. A later start leaves
 # fewer steps for outlines; an earlier one costs time while shapes still form.
 FINE_FROM = 0.6
@@ -40,15 +42,14 @@ def compute_sigma(step: chex.Numeric, render: Render, *, steps: int) -> jax.Arra
 
 
 def count_kept_points(step: int, render: Render, *, steps: int) -> int:
-    """How many points a step renders; linear in the step, in `keep_levels` stairs.
+    """How many points a step renders; linear in the step, in stairs.
 
     A Python number: points left out are not rendered at all, and each stair is a
-    program of its own, compiled when first reached.
+    program of its own.
     """
-    levels = render.keep_levels
-    level = min(int(step * levels / (render.anneal_until * steps)), levels - 1)
+    level = min(int(step * _STAIRS / (render.anneal_until * steps)), _STAIRS - 1)
     # The middle of the stair lies on the line; the last stair keeps the end value.
-    done = 1.0 if level == levels - 1 else (level + 0.5) / levels
+    done = 1.0 if level == _STAIRS - 1 else (level + 0.5) / _STAIRS
     share = render.keep_start + done * (render.keep_end - render.keep_start)
     return max(1, round(share * render.num_points))
 
