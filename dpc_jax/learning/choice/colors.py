@@ -131,5 +131,10 @@ def sort_colors(colors: jax.Array) -> jax.Array:
 
 def find_cells(places: jax.Array) -> jax.Array:
     """Cells [n] int32 of places [n, 3]."""
-    x, y, z = jnp.clip(jnp.floor((places + 0.5) * CELLS), 0, CELLS - 1).T
+    return index_cells(*places.T)
+
+
+def index_cells(*place: jax.Array) -> jax.Array:
+    """The same of coordinates, three arrays of one shape."""
+    x, y, z = (jnp.clip(jnp.floor((a + 0.5) * CELLS), 0, CELLS - 1) for a in place)
     return ((x * CELLS + y) * CELLS + z).astype(jnp.int32)

@@ -26,7 +26,7 @@ import jax.numpy as jnp
 from dpc_jax.learning.cameras import Cameras
 from dpc_jax.learning.candidates import find_half_turns
 from dpc_jax.learning.choice import colors
-from dpc_jax.learning.choice.colors import BINS, CELLS, POINTS, find_cells
+from dpc_jax.learning.choice.colors import BINS, CELLS, POINTS, find_cells, index_cells
 from dpc_jax.learning.choice.decisions import Decisions, keep_turns, start_decisions
 from dpc_jax.learning.choice.hindsight import Winners
 from dpc_jax.learning.devices import AXIS
@@ -293,14 +293,18 @@ def compare_places(
     are farther in front than those of others fit better turned round: their wings are
     then where these have theirs, and only their tails are not.
     """
-    shifts = (jnp.array(_SHIFTS)[:, None, None] * ways[None]).reshape(1, -1, 1, 3)
+    shifts = (jnp.array(_SHIFTS)[:, None, None] * ways[None]).reshape(-1, 3)
+    scales = jnp.array(_SCALES)[:, None, None]
 
     def fit(turn):
         turned = quaternion.rotate(points, turn)
-        scaled = jnp.array(_SCALES)[:, None, None, None] * turned[None, None]
-        places = scaled + shifts
-        is_inside = jnp.all(jnp.abs(places) < 0.5, axis=-1)
-        found = scores[find_cells(places.reshape(-1, 3))].reshape(is_inside.shape)
-        return jnp.max(jnp.mean(jnp.where(is_inside, found, jnp.log(_EMPTY)), axis=-1))
+        # Coordinate by coordinate, [scales, shifts, N]: four times as quick on a CPU.
+        places = [
+            scales * x[None, None] + by[None, :, None]
+            for x, by in zip(turned.T, shifts.T, strict=True)
+        ]
+        is_inside = jnp.all(jnp.stack([jnp.abs(x) < 0.5 for x in places]), axis=0)
+        found = jnp.where(is_inside, scores[index_cells(*places)], jnp.log(_EMPTY))
+        return jnp.max(jnp.mean(found, axis=-1))
 
     return jax.vmap(fit)(turns)
