@@ -30,7 +30,9 @@ from dpc_jax.learning.inference.search import (
 from dpc_jax.learning.shapes.points import Points
 from dpc_jax.networks.viewpoints import face_object, read_elevations
 
-CONFIG = tiny_config(student="selects", flips=True, head="viewpoint", fine_grid=32)
+CONFIG = tiny_config(
+    student="selects", flips=True, head="viewpoint", fine_grid=32, keep_end=1.0
+)
 RATIO = CONFIG.render.finest / CONFIG.render.grid
 UNSEARCHED = replace_fields(CONFIG, {"pose": {"head": "quaternion"}})
 
