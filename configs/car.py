@@ -1,9 +1,10 @@
 """Cars from silhouettes without poses: procedural, on two CPU cores.
 
-Cost: 853 s alone on two slow cores, command to report; 3.7 GB.
-Reached on 100 test cars, seed 0: pose accuracy 0.970, median error 2.2 degrees, Chamfer
-3.09, visible 2.92. With 6300 steps of Adam, means of seven seeds: 0.982, 2.0, 3.04,
-2.90; on 100 final cars (four seeds) 0.962, 2.1, 3.28, 3.17.
+Cost: a quarter of an hour on two slow cores, command to report; 3.7 GB.
+Reached on 100 test cars, seeds 0 and 2: pose accuracy 0.984, median error 2.1 degrees,
+Chamfer 3.10, visible 2.92; on 100 final cars 0.968, 2.3, 3.31, 3.16. With 6300 steps of
+Adam, means of seven seeds: 0.982, 2.0, 3.04, 2.90; on final cars (four seeds) 0.962,
+2.1, 3.28, 3.17.
 ":paper" is the paper's setting: a GPU and days, never run to the end.
 """
 
