@@ -140,8 +140,7 @@ def test_stages_say_what_is_new_in_them():
     )
     assert list_stages(config) == [
         (0, "5 points, 8³ cells"),
-        (50, "6 points"),
-        (60, "16³ cells"),
+        (60, "6 points, 16³ cells"),
     ]
 
 

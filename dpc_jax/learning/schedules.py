@@ -44,9 +44,14 @@ def compute_sigma(step: chex.Numeric, render: Render, *, steps: int) -> jax.Arra
 def count_kept_points(step: int, render: Render, *, steps: int) -> int:
     """How many points a step renders; linear in the step, in stairs.
 
-    A Python number: points left out are not rendered at all, and each stair is a
-    program of its own.
+    With a fine grid there is one stair, `keep_start` until that grid begins. A Python
+    number: points left out are not rendered at all, and each stair is a program of its
+    own.
     """
+    if render.fine_grid:
+        is_fine = step >= _find_fine_start(render) * steps
+        share = render.keep_end if is_fine else render.keep_start
+        return max(1, round(share * render.num_points))
     level = min(int(step * _STAIRS / (render.anneal_until * steps)), _STAIRS - 1)
     # The middle of the stair lies on the line; the last stair keeps the end value.
     done = 1.0 if level == _STAIRS - 1 else (level + 0.5) / _STAIRS
