@@ -92,8 +92,10 @@ class Render:
     sigma_start: float = field(0.05, between(0, 1))  # of the volume's side (§ Training)
     sigma_end: float = field(0.003, between(0, 1))  # of the volume's side
     anneal_until: float = field(0.8, above(0, 1))  # share of the run; both schedules
-    keep_start: float = field(1.0, above(0, 1))  # share of points kept (§ Training)
-    keep_end: float = field(1.0, above(0, 1))  # share of points kept
+    # Share of points kept (§ Training): until the fine grid begins, and from then on;
+    # without one, at the start and the end of the schedule.
+    keep_start: float = field(1.0, above(0, 1))
+    keep_end: float = field(1.0, above(0, 1))
     # What a ray makes of its occupancies: Eq. 5, or their maximum, as PTN.
     ray_rule: str = field("termination", one_of("termination", "maximum"))
     scale_unit: str = field("mass", one_of("peak", "mass"))  # of the learned scale
