@@ -15,6 +15,7 @@ from dpc_jax.config import (
     to_config_dict,
     to_json,
 )
+from dpc_jax.learning.schedules import list_spans
 from dpc_jax.run.setup import make_data_specs
 
 
@@ -38,6 +39,8 @@ def test_every_config_builds_in_every_variant(name, variant):
     else:
         assert output["cells"].shape == (2, *[config.render.grid] * 3)
         assert "points" not in output
+    if config.network.shape != "points":  # one program: there is nothing to leave out
+        assert len(list_spans(config.render, steps=config.train.steps)) == 1
     if config.pose.learned_heads:
         assert output["candidates"].shape == (2, config.pose.learned_heads, 4)
     assert set(specs) == {"train", "val", "test"}

@@ -91,7 +91,7 @@ class Render:
     num_points: int = field(2000, at_least(1))  # of a cloud (2000 at 32³ in the paper)
     sigma_start: float = field(0.05, between(0, 1))  # of the volume's side (§ Training)
     sigma_end: float = field(0.003, between(0, 1))  # of the volume's side
-    anneal_until: float = field(0.8, above(0, 1))  # share of the run; both schedules
+    anneal_until: float = field(0.8, above(0, 1))  # share of the run
     # Share of points kept (§ Training): until the fine grid begins, and from then on;
     # without one, at the start and the end of the schedule.
     keep_start: float = field(1.0, above(0, 1))

@@ -12,11 +12,9 @@ from dpc_jax.config.sections import Config
 
 Changes = Mapping[str, Mapping[str, Any]]  # section: {field: value}
 
-# Of all voxel models: no points, so no sizes.
-_VOXELS = {
-    "network": {"shape": "voxels"},
-    "render": {"fine_grid": 0},
-}
+# Of shapes without points: no sizes, and no dropout that would need stages.
+_NO_POINTS = {"fine_grid": 0, "keep_start": 1.0, "keep_end": 1.0}
+_VOXELS = {"network": {"shape": "voxels"}, "render": _NO_POINTS}
 
 # Variants are applied in this order, whatever order they are given in.
 VARIANTS: dict[str, Changes] = {
@@ -119,7 +117,7 @@ VARIANTS: dict[str, Changes] = {
     },
     "epcg": {
         "network": {"shape": "maps"},
-        "render": {"fine_grid": 0},
+        "render": _NO_POINTS,
         "pose": {"source": "given"},
         "train": {"depth_weight": 1.0},
     },

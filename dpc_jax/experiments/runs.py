@@ -72,6 +72,7 @@ SIZES = {
             "network.hidden": 32,
             "network.shape_hidden": 32,
             "render.keep_start": 1.0,  # one stage, one program to compile
+            "render.keep_end": 1.0,
             "render.num_points": 200,
             "pose.choice_top": 0,
             "train.steps": 10,  # enough to log, validate, save

@@ -103,7 +103,7 @@ def score_colors(counts: jax.Array) -> jax.Array:
 
 def judge_samples(samples: Samples, scores: jax.Array) -> jax.Array:
     """How well samples fit `score_colors`: () a log-likelihood beside silhouettes'."""
-    found = scores[find_cells(samples.places), samples.bins]
+    found = scores[find_cells(*samples.places.T), samples.bins]
     return _TRUST * jnp.sum(samples.weights * found)
 
 
@@ -129,12 +129,7 @@ def sort_colors(colors: jax.Array) -> jax.Array:
     return (first * BINS + second).astype(jnp.int32)
 
 
-def find_cells(places: jax.Array) -> jax.Array:
-    """Cells [n] int32 of places [n, 3]."""
-    return index_cells(*places.T)
-
-
-def index_cells(*place: jax.Array) -> jax.Array:
-    """The same of coordinates, three arrays of one shape."""
+def find_cells(*place: jax.Array) -> jax.Array:
+    """Cells int32 of places, whose three coordinates are arrays of one shape."""
     x, y, z = (jnp.clip(jnp.floor((a + 0.5) * CELLS), 0, CELLS - 1) for a in place)
     return ((x * CELLS + y) * CELLS + z).astype(jnp.int32)

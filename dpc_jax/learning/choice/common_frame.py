@@ -26,7 +26,7 @@ import jax.numpy as jnp
 from dpc_jax.learning.cameras import Cameras
 from dpc_jax.learning.candidates import find_half_turns
 from dpc_jax.learning.choice import colors
-from dpc_jax.learning.choice.colors import BINS, CELLS, POINTS, find_cells, index_cells
+from dpc_jax.learning.choice.colors import BINS, CELLS, POINTS, find_cells
 from dpc_jax.learning.choice.decisions import Decisions, keep_turns, start_decisions
 from dpc_jax.learning.choice.hindsight import Winners
 from dpc_jax.learning.devices import AXIS
@@ -235,14 +235,14 @@ def _count_batch(frame, points, samples, gains):
     if samples is not None:
         places, bins, weights = (a.reshape(-1, *a.shape[2:]) for a in samples)
         kept, nothing = _KEPT * frame.colors, jnp.zeros_like(frame.colors)
-        seen = nothing.at[find_cells(places), bins].add(weights)
+        seen = nothing.at[find_cells(*places.T), bins].add(weights)
         new = new._replace(colors=kept + jax.lax.psum(seen, AXIS))
     return new._replace(moments=_KEPT * frame.moments + moments)
 
 
 def count_points(points: jax.Array) -> jax.Array:
     """Share of points [N, 3] in each cell, blurred; [CELLS³]."""
-    density = jnp.zeros(CELLS**3).at[find_cells(points)].add(1 / len(points))
+    density = jnp.zeros(CELLS**3).at[find_cells(*points.T)].add(1 / len(points))
     density = density.reshape((CELLS,) * 3)
     for axis in range(3):  # the cells at the border, which roll over, are empty
         rolled = [jnp.roll(density, shift, axis) for shift in (-1, 0, 1)]
@@ -298,13 +298,13 @@ def compare_places(
 
     def fit(turn):
         turned = quaternion.rotate(points, turn)
-        # Coordinate by coordinate, [scales, shifts, N]: four times as quick on a CPU.
+        # Coordinate by coordinate, [scales, shifts, N]: three times as quick on a CPU.
         places = [
             scales * x[None, None] + by[None, :, None]
             for x, by in zip(turned.T, shifts.T, strict=True)
         ]
         is_inside = jnp.all(jnp.stack([jnp.abs(x) < 0.5 for x in places]), axis=0)
-        found = jnp.where(is_inside, scores[index_cells(*places)], jnp.log(_EMPTY))
+        found = jnp.where(is_inside, scores[find_cells(*places)], jnp.log(_EMPTY))
         return jnp.max(jnp.mean(found, axis=-1))
 
     return jax.vmap(fit)(turns)
