@@ -87,6 +87,11 @@ def test_log_validation_and_checkpoints_come_at_their_intervals_and_at_the_end(
     assert restore(tmp_path, first_state)[1] == [7, 8]
 
 
+def test_a_validation_soon_before_the_last_one_is_left_out(tmp_path, first_state):
+    run_loop(tmp_path, first_state, every=(3, 7, 0))
+    assert [r["step"] for r in read(tmp_path) if "chamfer" in r] == [8]
+
+
 def test_the_time_of_a_validation_is_not_training_time(
     tmp_path, first_state, monkeypatch
 ):

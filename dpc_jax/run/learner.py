@@ -23,6 +23,8 @@ class Learner:
         self.config, self.sets = config, sets
         self.network: ShapePoseNetwork = make_network(config)
         self.predictor = make_predictor(self.network, config)
+        # Of the last validation: its step, alignment and threshold.
+        self._validated: tuple[int, Alignment, float | None] | None = None
 
     def predict(
         self,
@@ -62,11 +64,13 @@ class Learner:
 
     def validate(self, state: TrainState) -> dict[str, float]:
         """Metrics on the validation split."""
-        predictions, _ = self.predict(state, "val")
+        predictions, threshold = self.predict(state, "val")
+        alignment = self.align(predictions)
+        self._validated = int(state.step), alignment, threshold
         result = evaluator.score(
             predictions,
             self.sets["val"],
-            alignment=self.align(predictions),
+            alignment=alignment,
             poses_given=self.config.pose.known,
             chamfer_views=1,
             has_visible=False,
@@ -81,7 +85,10 @@ class Learner:
         That is the alignment from the network's frame to the object frame, and the
         threshold of the surfaces of a voxel model. All processes of a job must call it.
         """
-        validated, threshold = self.predict(state, "val")
-        alignment = self.align(validated)
+        if self._validated is None or self._validated[0] != int(state.step):
+            validated, threshold = self.predict(state, "val")
+            alignment = self.align(validated)
+        else:
+            _, alignment, threshold = self._validated
         predictions, _ = self.predict(state, "test", threshold=threshold)
         return predictions, alignment, threshold

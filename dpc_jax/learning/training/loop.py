@@ -119,7 +119,9 @@ class _Books(NamedTuple):
         is_last = stops or is_finished
         if is_last or _is_due(done, due.every):
             self.record(done)
-        if is_finished or _is_due(done, due.evaluate):
+        # One soon before the last would tell the same.
+        is_early = 2 * (self.config.train.steps - done) >= due.evaluate
+        if is_finished or (_is_due(done, due.evaluate) and is_early):
             self.window.check()
             self._validate(done, state)
         if is_last or _is_due(done, due.checkpoint):
