@@ -97,32 +97,6 @@ def read_json(path: str | os.PathLike) -> Any:
         raise ValueError("it is nested too deep") from None
 
 
-def open_own(path: str | os.PathLike, flags: int) -> int:
-    """Open a file that this package keeps, never another one that a link leads to.
-
-    It serves as the `opener` of `open`, but empties no file.
-
-    Raises:
-      OSError: where there is a link, also a hard one, or no regular file.
-    """
-    flags |= os.O_NOFOLLOW | os.O_NONBLOCK | os.O_CLOEXEC
-    refusal = OSError(
-        f"Expected a file of this package in {path}, but there is a link, a folder, a "
-        "pipe or the like; remove it."
-    )
-    try:
-        file = os.open(path, flags, 0o666)
-    except OSError as error:
-        if error.errno in (errno.ELOOP, errno.EISDIR, errno.ENXIO):
-            raise refusal from None
-        raise
-    status = os.fstat(file)
-    if not stat.S_ISREG(status.st_mode) or status.st_nlink > 1:
-        os.close(file)
-        raise refusal
-    return file
-
-
 @contextlib.contextmanager
 def replacing(path: str | os.PathLike) -> Iterator[Path]:
     """Yield a temporary path beside a file, which takes the file's place at the end.
@@ -135,8 +109,6 @@ def replacing(path: str | os.PathLike) -> Iterator[Path]:
     temporary = path.with_name(
         f".{socket.gethostname()}.{os.getpid()}.{secrets.token_hex(8)}{TEMPORARY}"
     )
-    # Made here and now, so that nobody else can have put a link in its place.
-    os.close(open_own(temporary, os.O_WRONLY | os.O_CREAT | os.O_EXCL))
     try:
         yield temporary
         os.replace(temporary, path)
@@ -201,7 +173,7 @@ def _lock(path: Path) -> int | None:
     """The open and locked file; None where another process holds the lock."""
     path.parent.mkdir(parents=True, exist_ok=True)
     while True:
-        file = open_own(path, os.O_RDWR | os.O_CREAT)
+        file = os.open(path, os.O_RDWR | os.O_CREAT, 0o666)
         try:
             fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
         except BlockingIOError:

@@ -1,7 +1,6 @@
-"""Files of a stranger: shards, records, meshes, images, poses, locks."""
+"""Files of a stranger: shards, records, meshes, images, poses."""
 
 import os
-import socket
 
 import numpy as np
 import pytest
@@ -14,7 +13,7 @@ from dpc_jax.data import DataSpec, load_or_render, meshes, shards
 from dpc_jax.data.sets import photographs, pictures
 from dpc_jax.data.sets.pictures import read_picture
 from dpc_jax.learning.training.records import MetricLog
-from dpc_jax.run.workdir import hold_workdir, read_alignment, read_config
+from dpc_jax.run.workdir import read_alignment, read_config
 from dpc_jax.shapes.normalization import face_colors
 
 TABLE = Table()
@@ -22,41 +21,7 @@ tries = TABLE.tries
 
 FACE = "v 0 0 0\nv 1 0 0\nv 0 1 0\nusemtl red\nf 1 2 3\n"
 RED = "newmtl red\nKd 1 0 0\n"
-NOT_OURS = "there is a link, a folder, a pipe or the like; remove it"
 DEEP = "[" * 100_000
-
-
-def _link(folder, name, link=os.symlink):
-    """A user's file, and a link to it where a file of this package should be."""
-    victim = folder / "victim.txt"
-    victim.write_text("mine")
-    link(victim, folder / name)
-    return victim
-
-
-@tries(NOT_OURS, link=os.symlink)
-@tries(NOT_OURS, link=os.link)
-def hold_a_linked_lock(folder, *, link):
-    victim = _link(folder, ".run.claim", link)
-    try:
-        with hold_workdir(folder):
-            pass
-    finally:
-        assert victim.read_text() == "mine"
-
-
-@tries(NOT_OURS, make=os.mkfifo)
-@tries(NOT_OURS, make=os.mkdir)
-def hold_a_lock_of_another_kind(folder, *, make):
-    make(folder / ".run.claim")
-    with hold_workdir(folder):
-        pass
-
-
-@tries(NOT_OURS)
-def record_in_a_linked_file(folder):
-    _link(folder, "metrics.jsonl")
-    MetricLog(folder / "metrics.jsonl").write({"step": 1})
 
 
 @tries("a pipe, a device or the like", content=None)
@@ -80,14 +45,6 @@ def read_a_wrong_alignment(folder, *, text):
     (folder / "report").mkdir()
     (folder / "report" / "alignment.json").write_text(text)
     return read_alignment(folder)
-
-
-@tries("mine")
-def write_beside_a_linked_temporary_file(folder):
-    name = f".notes.{socket.gethostname()}.{os.getpid()}{files.TEMPORARY}"
-    victim = _link(folder, name)
-    files.write_text(folder / "notes", "new")
-    return victim.read_text()
 
 
 POINTERS = np.full((2, 4), 1e9, np.float32)

@@ -13,7 +13,6 @@ import numpy as np
 
 from dpc_jax.files import (
     explaining_full_disk,
-    open_own,
     open_regular,
     write_text,
 )
@@ -171,7 +170,7 @@ class MetricLog:
             return
         with (
             explaining_full_disk(self._path.parent),
-            open(self._path, "a", encoding="utf-8", opener=open_own) as file,
+            open(self._path, "a", encoding="utf-8") as file,
         ):
             file.write(json.dumps(record) + "\n")
 
