@@ -65,7 +65,9 @@ def choose_poses(
     weights = recipe.weights._replace(background=0)  # silhouettes by their squares
     at_once = render.renders_at_once
     is_settled, top = stage.grid > render.grid, pose.choice_top
-    top = min(top, _SETTLED) if is_settled else top
+    # Colours weigh a half turn by its loss, too (`common_frame`): it has to have one.
+    if is_settled and pose.common_frame != "colors":
+        top = min(top, _SETTLED)
     how = Choice(
         RANKING_POINTS * (0 < top < candidates.shape[1]), top, at_once, weights
     )
