@@ -276,8 +276,7 @@ def test_the_candidate_of_the_smallest_weighted_loss_wins(case, monkeypatch):
     shapes, _ = make_shapes(kind)
     batch, cameras = make_views(), make_cameras(has_cameras)
     candidates = as_float32(random_quaternions(10, VIEWS, 6))
-    sections = {"recipe": make_recipe(config), "stage": Stage(COUNT, SIDE)}
-    choose = functools.partial(choose_poses, **sections)
+    choose = functools.partial(choose_poses, recipe=make_recipe(config))
     winners = jax.jit(choose)(shapes, candidates, batch, cameras)
     compared = tiny_config(**{**fields, "choice_top": 0})
 
@@ -299,18 +298,6 @@ def test_the_candidate_of_the_smallest_weighted_loss_wins(case, monkeypatch):
     np.testing.assert_array_equal(winners.indices, expected)
     chosen = np.asarray(candidates)[np.arange(VIEWS), expected]
     np.testing.assert_array_equal(winners.poses, chosen)
-
-
-def test_fewer_candidates_are_compared_exactly_once_the_fine_grid_has_begun():
-    recipe = make_recipe(tiny_config(choice_top=5))
-    shapes, _ = make_shapes("points")
-    candidates = as_float32(random_quaternions(10, VIEWS, 6))
-    given = shapes, candidates, make_views(), make_cameras(False)
-    for side, count in ((SIDE, 5), (2 * SIDE, 2)):
-        stage = Stage(COUNT, side)
-        choose = functools.partial(choose_poses, recipe=recipe, stage=stage)
-        losses = jax.jit(choose)(*given).losses
-        np.testing.assert_array_equal(np.isfinite(losses).sum(axis=1), count)
 
 
 # Targets and costs.

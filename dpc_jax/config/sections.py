@@ -131,7 +131,7 @@ class Pose:
     student: str = field("selects", one_of("regresses", "squares", "selects"))
     # Candidates compared exactly, the best of a ranking by few points; 0, and of
     # points with sizes of their own: all.
-    choice_top: int = field(6, at_least(0))
+    choice_top: int = field(3, at_least(0))
     # What tells a kind of objects from its half turn, to be turned back: where its
     # points are, or where it has which colours; "": no kind is.
     common_frame: str = field("points", one_of("", "points", "colors"))

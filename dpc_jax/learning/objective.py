@@ -61,7 +61,7 @@ def compute_loss(
     metrics = {"scale": jnp.mean(shapes.find_scale())}
     anchor = anchor_cameras(cameras, recipe=recipe)
     forward = ForwardPass(
-        params, batch, views, features, shapes, cameras, keys, step, averages, stage
+        params, batch, views, features, shapes, cameras, keys, step, averages
     )
     poses = find_poses(forward, recipe=recipe)
     placed = {"rotation": poses.rotations, **cameras}

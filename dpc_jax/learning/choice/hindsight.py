@@ -12,7 +12,6 @@ import jax.numpy as jnp
 
 from dpc_jax.learning.cameras import Cameras
 from dpc_jax.learning.recipe import Recipe
-from dpc_jax.learning.schedules import Stage
 from dpc_jax.learning.shapes.kind import Choice, Scene, Shape, View, place_view
 from dpc_jax.learning.shapes.points import Points
 from dpc_jax.learning.signals import make_targets
@@ -22,7 +21,6 @@ from dpc_jax.render.batch import map_renders
 # Among the first of a cloud: the winner is one of the three best of such a ranking in
 # 0.99 of the views.
 RANKING_POINTS = 250
-_SETTLED = 2  # candidates compared exactly at most, once the fine grid has begun
 
 
 class Winners(NamedTuple):
@@ -47,7 +45,6 @@ def choose_poses(
     cameras: Cameras,
     *,
     recipe: Recipe,
-    stage: Stage,
 ) -> Winners:
     """Eq. 2 for all n views of a batch, without gradient.
 
@@ -56,7 +53,6 @@ def choose_poses(
       batch: masks uint8 [n, S, S] and, as the signals need them by which candidates are
         compared at full resolution, images and depths: see `make_targets`.
       cameras: of the views.
-      stage: of the schedule; in the fine grid poses are settled.
     """
     if candidates.shape[1] == 1:
         return Winners(candidates[:, 0], jnp.zeros(len(candidates), jnp.int32))
@@ -64,13 +60,8 @@ def choose_poses(
     pose, render, camera = recipe.pose, recipe.render, recipe.camera
     weights = recipe.weights._replace(background=0)  # silhouettes by their squares
     at_once = render.renders_at_once
-    is_settled, top = stage.grid > render.grid, pose.choice_top
-    # Colours weigh a half turn by its loss, too (`common_frame`): it has to have one.
-    if is_settled and pose.common_frame != "colors":
-        top = min(top, _SETTLED)
-    how = Choice(
-        RANKING_POINTS * (0 < top < candidates.shape[1]), top, at_once, weights
-    )
+    is_ranked = 0 < pose.choice_top < candidates.shape[1]
+    how = Choice(RANKING_POINTS * is_ranked, pose.choice_top, at_once, weights)
     shapes, still, cameras = jax.lax.stop_gradient((shapes, candidates, cameras))
     kind = type(shapes)
     scene, shared = shapes.list_scenes()

@@ -24,7 +24,7 @@ from dpc_jax.learning.choice.hindsight import Winners, choose_poses
 from dpc_jax.learning.devices import AXIS
 from dpc_jax.learning.losses import Term
 from dpc_jax.learning.recipe import Averages, Recipe
-from dpc_jax.learning.schedules import Stage, is_framing
+from dpc_jax.learning.schedules import is_framing
 from dpc_jax.learning.shapes import Shape
 from dpc_jax.render import quaternion
 
@@ -33,7 +33,7 @@ class ForwardPass(NamedTuple):
     """What the network predicts for a batch; of this a source of poses finds them.
 
     Attributes:
-      params, step, averages, stage: as of `objective.compute_loss`.
+      params, step, averages: as of `objective.compute_loss`.
       batch: its arrays of all n = B·V views. keys: [n]. views: V of each object.
       features: [n, F] of the views. cameras: of the views, predicted.
       shapes: each predicted from another view of the same object.
@@ -48,7 +48,6 @@ class ForwardPass(NamedTuple):
     keys: jax.Array
     step: jax.Array
     averages: Averages
-    stage: Stage
 
 
 class ViewPoses(NamedTuple):
@@ -83,9 +82,7 @@ def find_poses(forward: ForwardPass, *, recipe: Recipe) -> ViewPoses:
         winners, terms = compare_labels(poses, batch["quaternions"], recipe=recipe)
     else:
         seen = batch, forward.cameras
-        winners = choose_poses(
-            forward.shapes, poses.candidates, *seen, recipe=recipe, stage=forward.stage
-        )
+        winners = choose_poses(forward.shapes, poses.candidates, *seen, recipe=recipe)
         if averages.frame is not None:
             winners, frame, metrics["turned_back"] = _turn_back(
                 winners, forward, averages, recipe
