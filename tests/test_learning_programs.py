@@ -79,7 +79,8 @@ def test_later_stages_are_compiled_before_they_begin_in_threads_that_give_way():
             assert old.value.is_deleted()  # its memory was taken
     assert make.threads[SECOND] == make.threads[THIRD] != make.threads[FIRST]
     if sys.platform == "linux":
-        assert make.niceness[SECOND] > make.niceness[FIRST]
+        # 19 is the most there is.
+        assert make.niceness[SECOND] >= min(make.niceness[FIRST] + 1, 19)
         assert make.niceness[THIRD] == make.niceness[SECOND]
 
 
