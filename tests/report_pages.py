@@ -80,7 +80,6 @@ def make_report(folder, *, has_truth=True, **changes):
         "title": "Cars & <b>more</b>, a rather long name, as folders often have",
         "metrics": metrics | changes.pop("metrics", {}),
         "records": records,
-        "stages": [(0, "100 points"), (50, "200 points, 64³ cells")],
         "examples": examples,
         "ranking": "The worst, median and best of all test views by pose error.",
         "warnings": ["3 meshes < 5 could not be read."],

@@ -144,16 +144,6 @@ def test_curves_have_a_panel_for_what_is_recorded(tmp_path):
     figures.draw_curves(many, tmp_path / "zero.png")
 
 
-def test_stages_are_marked_over_run_time(tmp_path):
-    lines = [{"step": s, "seconds": s / 10, "loss": 1.0} for s in range(1, 60, 5)]
-    plain = picture(figures.draw_curves(lines, tmp_path / "a.png").read_bytes())
-    stages = [(0, "10 points"), (30, "20 points"), (900, "never reached")]
-    path = figures.draw_curves(lines, tmp_path / "b.png", stages=stages)
-    changed = np.any(plain != picture(path.read_bytes()), axis=(0, 2))
-    # A thin line with its label beside it; nothing past the end.
-    assert 0 < np.count_nonzero(changed) < 0.05 * changed.size
-
-
 def test_a_curve_follows_the_seconds_not_the_order_of_lines():
     lines = [{"seconds": t, "pose_accuracy": t / 10} for t in (5, 1, 2)]
     lines += [{"seconds": 3, "pose_accuracy": None}, {"seconds": None}]

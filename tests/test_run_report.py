@@ -1,4 +1,4 @@
-"""What a report shows of a run: which views, beside which shapes, which stages."""
+"""What a report shows of a run: which views, beside which shapes."""
 
 import numpy as np
 import pytest
@@ -10,7 +10,7 @@ from dpc_jax.evaluation.alignment import identity_alignment
 from dpc_jax.learning.inference import evaluator
 from dpc_jax.learning.inference.predictor import Predictions
 from dpc_jax.run.report.shown_views import Judged, choose_examples, choose_views
-from dpc_jax.run.report.summary import list_stages, list_warnings, measure_gains
+from dpc_jax.run.report.summary import list_warnings, measure_gains
 from dpc_jax.run.report.training_shapes import REFERENCES, TrainingShapes
 
 
@@ -132,16 +132,6 @@ def test_references_are_distances_of_clouds_that_see_no_image(sets):
     assert plain.measure_references(predictions, sets["test"], frame) == {
         name: value for name, value in found.items() if not name.startswith("visible_")
     }
-
-
-def test_stages_say_what_is_new_in_them():
-    config = tiny_config(
-        steps=100, keep_start=0.5, keep_end=0.6, num_points=10, fine_grid=16
-    )
-    assert list_stages(config) == [
-        (0, "5 points, 8³ cells"),
-        (60, "6 points, 16³ cells"),
-    ]
 
 
 def test_what_was_skipped_is_counted_and_named():

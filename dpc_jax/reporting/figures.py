@@ -31,7 +31,6 @@ _CURVES = (
 )
 
 Records = Sequence[Mapping[str, Any]]
-Stages = Sequence[tuple[int, str]]
 
 
 def find_curve(records: Records, metric: str) -> tuple[np.ndarray, np.ndarray]:
@@ -70,22 +69,16 @@ def draw_panels(
         axes.set_xlim(0.0, 1.02 * latest if latest > 0 else 1.0)
 
 
-def draw_curves(
-    records: Records,
-    path: str | os.PathLike,
-    *,
-    stages: Stages = (),
-) -> Path:
+def draw_curves(records: Records, path: str | os.PathLike) -> Path:
     """What a run records over its run time, a panel for each measure that is recorded.
 
     Poses, shapes and the overlap of silhouettes are of validation, at one size of the
     points and one grid; how many pose candidates are alive and the loss are of
-    training, where both change with its stages.
+    training, where both change over a run.
 
     Args:
       records: lines of `metrics.jsonl` with `seconds`. Values that are missing or not
         finite are not drawn.
-      stages: as of `write_report`, drawn as vertical lines.
     """
     lines = [
         line | {"candidates_alive": count_alive(line["head_shares"])}
@@ -99,7 +92,6 @@ def draw_curves(
 
     def draw(axes, metric):
         _draw_curve(axes, metric, *found[metric])
-        _mark_stages(axes, lines, stages, named=metric == shown[-1])
 
     draw_panels(figure, shown, draw, unit="s")
     return style.save_figure(figure, path)
@@ -120,26 +112,6 @@ def _draw_curve(axes: Axes, metric: str, seconds: np.ndarray, values: np.ndarray
     else:
         look = {"color": style.BLUE, "ms": 3.5, "clip_on": False, "zorder": 3}
         axes.plot(seconds, values, "o-", **look)
-
-
-def _mark_stages(axes: Axes, lines: Records, stages: Stages, *, named: bool) -> None:
-    """A vertical line where each stage but the first begins."""
-    pairs = [(r["step"], r["seconds"]) for r in lines if "step" in r and "seconds" in r]
-    if not pairs:
-        return
-    steps, seconds = np.array(sorted(pairs), np.float64).T
-    for step, label in stages:
-        if not 0 < step < steps[-1]:
-            continue
-        # The run time starts with the first step.
-        place = float(np.interp(step, [0, *steps], [0, *seconds]))
-        axes.axvline(place, color=style.MUTED, lw=0.9, ls=":", zorder=1)
-        if named:
-            text = {"fontsize": 7, "color": style.INK, "rotation": 90, "va": "top"}
-            where = (place, 0.98)
-            axes.annotate(
-                label, where, xycoords=("data", "axes fraction"), ha="right", **text
-            )
 
 
 def draw_fit(records: Records, path: str | os.PathLike) -> Path:

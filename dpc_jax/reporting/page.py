@@ -1,6 +1,5 @@
 """The report of a run: one HTML page that opens anywhere, with its data beside it."""
 
-import functools
 import os
 import re
 from collections.abc import Mapping, Sequence
@@ -45,10 +44,10 @@ CAPTIONS = {
     "curves": (
         "Over run time",
         "All but the loss and the candidates are of validation, at one size of points "
-        "and one grid. The loss may climb while everything improves: at the dotted "
-        "lines the number of points and the grid change, and between them the points "
-        "become smaller. An accuracy that settles near 50 % hints at flipped poses; a "
-        "curve still moving at its right end asks for more steps. The loss has a "
+        "and one grid. The loss may climb while everything improves: points become "
+        "smaller, and by default the grid finer after 60 % of the steps. An accuracy "
+        "that settles near 50 % hints at flipped poses; a curve still moving at its "
+        "right end asks for more steps. The loss has a "
         "logarithmic scale; candidates are alive that win at least 1 % of the views.",
     ),
     "signals": (
@@ -66,7 +65,6 @@ def write_report(
     title: str,
     metrics: Mapping[str, Any],
     records: Sequence[Mapping] = (),
-    stages: figures.Stages = (),
     examples: Sequence[Example] = (),
     ranking: str = "",
     failures: Failures | None = None,
@@ -82,7 +80,6 @@ def write_report(
     Args:
       metrics: numbers, words or None by name. Distances times 100. NaN becomes null.
       records: lines of `metrics.jsonl`.
-      stages: first step of each stage of the schedule and what is new in it.
       examples: views to show, those of a group one after the other.
       ranking: how they were chosen, a sentence.
       failures: of the poses of the test views.
@@ -90,7 +87,6 @@ def write_report(
     folder = Path(folder)
     values = dict(sorted(metrics.items()))
     write_json(folder / "metrics.json", values)
-    draw_curves = functools.partial(figures.draw_curves, stages=stages)
     rendered = [e for e in examples if e.images and len(e.images.rendered) > 1]
     parts = [
         _begin(title, values, warnings),
@@ -101,7 +97,7 @@ def write_report(
         _write_clouds(examples, folder / "points") if examples else "",
         _draw(folder, "azimuths", figures.draw_azimuths, failures),
         _compare_shapes(values),
-        _draw(folder, "curves", draw_curves, records),
+        _draw(folder, "curves", figures.draw_curves, records),
         _draw(folder, "signals", draw_signals, rendered, is_photo=True),
         _list_metrics(values),
     ]

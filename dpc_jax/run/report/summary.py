@@ -12,7 +12,6 @@ from dpc_jax.evaluation.alignment import Alignment
 from dpc_jax.evaluation.metrics import REQUIRED_METRICS, describe_metrics
 from dpc_jax.evaluation.pose import collapse_warning, count_alive, winner_share
 from dpc_jax.evaluation.scores import estimate_errors
-from dpc_jax.learning import schedules
 from dpc_jax.learning.inference import evaluator
 from dpc_jax.learning.inference.predictor import Predictions
 from dpc_jax.learning.training.loop import Outcome
@@ -57,7 +56,6 @@ def report_run(
         title=f"dpc_jax: {workdir.name}",
         metrics=metrics,
         records=records,
-        stages=list_stages(config),
         examples=examples,
         ranking=ranking,
         failures=judged.scores.failures,
@@ -167,16 +165,3 @@ def _count_costs(sets, outcome, data_seconds) -> dict:
         "train_models": len(sets["train"].names),
         "test_models": len(sets["test"].names),
     }
-
-
-def list_stages(config: Config) -> list[tuple[int, str]]:
-    """The first step of each stage of the schedule, and what is new in it."""
-    spans = schedules.list_spans(config.render, steps=config.train.steps)
-    stages = []
-    for before, span in zip((None, *spans), spans, strict=False):
-        old = before.stage if before else None
-        points, side = span.stage.kept_points, span.stage.grid
-        new = [f"{points} points"] if not old or old.kept_points != points else []
-        new += [f"{side}³ cells"] if not old or old.grid != side else []
-        stages.append((span.start, ", ".join(new)))
-    return stages
