@@ -22,8 +22,10 @@ _NEIGHBOURS, _SHARE = 6, 0.8
 _LEAST_RADIUS, _MOST_RADIUS = 0.01, 0.08
 _COARSE = 48  # cells along the unit cube, while the radius is chosen
 _WIDER, _LEAK = 1.4, 2.0  # ratios of radii that are tried, and of volumes that tell
-_SPECK = 12  # cells; smaller parts are left out, of which stray points make a hundred
-_KEPT = 0.003  # half the thickness of a sheet of points, object units
+_SPECK = 4  # cells; smaller parts are left out, of which stray points make dust
+_KEPT = 0.001  # half the thickness of a sheet of points, object units
+# How deep in the solid the cells of points are: with more, thin parts are thicker.
+_DEPTH = 0.002
 # Without stray points that wider balls would connect: rods and sheets stay whole.
 _SHARE_FITTED, _KEPT_FITTED = 0.95, 0.009
 
@@ -54,7 +56,7 @@ def wrap_points(
         field, low, side = _measure_depth(points, radius, side)
         # A cell of a point belongs to the solid: rods thinner than a cell stay whole.
         cells = tuple((np.floor(points * side).astype(int) - low).T)
-        field[cells] = np.maximum(field[cells], radius - 0.75 * kept)
+        field[cells] = np.maximum(field[cells], radius - kept + _DEPTH)
         # A lone point may be shallower, where no cell's centre is near it.
         level = min(radius - kept, 0.5 * field.max())
         found: Any = marching_cubes(_drop_specks(field, level), level)
@@ -88,7 +90,7 @@ def _close_holes(points, radius, kept):
 
 def _drop_specks(field, level):
     """The field without parts above the level that have few cells, but the largest."""
-    found: Any = ndimage.label(field > level, np.ones((3, 3, 3)))
+    found: Any = ndimage.label(field > level)  # connected by faces, as the surface is
     sizes = np.bincount(found[0].ravel())
     sizes[0] = least = min(_SPECK, sizes[1:].max(initial=0))
     return np.where(sizes[found[0]] < least, level - 1e-6, field)
