@@ -23,7 +23,8 @@ from dpc_jax.learning.inference.predictor import Predictions, arrange_views
 from dpc_jax.reporting.examples import Neighbour
 
 _COARSE, _FINE = 64, 500  # points of a shape in the first and second comparison
-_SHORTLIST = 12  # training shapes that are compared a second time; 24 find hardly nearer ones
+# Training shapes that are compared a second time; of 24 the best is hardly nearer.
+_SHORTLIST = 12
 SIDE = 64  # cells of the unit cube along a side
 COUNTS = (500, 1000, 2000, 4000, 8000, 16_000)  # of cells, to choose from
 # Of the mean shape: its Chamfer distance to test cars is within 3 % of that of all
