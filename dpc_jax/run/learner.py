@@ -86,9 +86,8 @@ class Learner:
         threshold of the surfaces of a voxel model. All processes of a job must call it.
         """
         if self._validated is None or self._validated[0] != int(state.step):
-            validated, threshold = self.predict(state, "val")
-            alignment = self.align(validated)
-        else:
-            _, alignment, threshold = self._validated
+            self.validate(state)
+        assert self._validated is not None
+        _, alignment, threshold = self._validated
         predictions, _ = self.predict(state, "test", threshold=threshold)
         return predictions, alignment, threshold
