@@ -47,7 +47,7 @@ class Data:
     # What has a scale of its own: an object, each view, or nothing ("none").
     crop: str = field("object", one_of(*CROPS))
     models: int = field(1000, _MODELS)  # procedural models to train on
-    val_models: int = field(40, _MODELS)  # to validate on; 20 of them align
+    val_models: int = field(20, _MODELS)  # to validate on; the first 20 align
     test_models: int = field(100, _MODELS)  # to test on
     # Of each mesh, stretched; 0: as many as make 300 models, and 300 procedural ones
     # are added to fewer meshes.

@@ -30,7 +30,7 @@ from dpc_jax.networks import ShapePoseNetwork
 from dpc_jax.networks.encoder import TINT
 from dpc_jax.render.batch import map_renders
 
-VIEWS_AT_ONCE = 50  # that are predicted: 40 models of five views in four batches
+VIEWS_AT_ONCE = 50  # that are predicted: 20 models of five views in two batches
 
 
 class Predictions(NamedTuple):
