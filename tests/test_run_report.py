@@ -46,7 +46,6 @@ def predict_truth(dataset, seed=0):
     return Predictions(
         points=points,
         poses=poses,
-        candidate_poses=poses,
         winners=np.zeros((count, views), int),
         silhouettes=silhouettes,
         candidates=poses[:, :, None],
