@@ -19,6 +19,7 @@ from tiny_runs import (
 from dpc_jax.learning import batches, signals
 from dpc_jax.learning.candidates import compute_covariance
 from dpc_jax.learning.choice.hindsight import choose_poses
+from dpc_jax.learning.devices import AXIS
 from dpc_jax.learning.schedules import Stage
 from dpc_jax.learning.shapes import points, voxels
 from dpc_jax.learning.shapes.points import (
@@ -476,4 +477,5 @@ def test_half_turns_are_about_the_axes_of_what_is_filled():
     places, weights = Voxels(cells, None).find_places()
     # Uniform over 8 cells of 1/8, and over 2 of them.
     expected = np.diag([(8**2 - 1) / 12, 0.25, 0.25]) / 64
-    np.testing.assert_allclose(compute_covariance(places, weights), expected, atol=1e-6)
+    compute = jax.vmap(compute_covariance, axis_name=AXIS)
+    np.testing.assert_allclose(compute(places, weights)[0], expected, atol=1e-6)
