@@ -15,7 +15,6 @@ from data_trees import DISTANCE, FOCAL_LENGTH, project_points
 
 from dpc_jax.config import Config, replace_fields, to_json
 from dpc_jax.data import DataSet
-from dpc_jax.learning.batches import repeat_seed
 from dpc_jax.learning.recipe import Averages, Recipe
 from dpc_jax.learning.schedules import find_stage
 from dpc_jax.learning.step import TrainState, init_state, make_train_step
@@ -183,7 +182,7 @@ def make_batch(*, models: int = 2, views: int = 2, seed: int = 0) -> dict:
         "images": dataset.images,
         "masks": dataset.masks,
         "quaternions": dataset.quaternions,
-        "seeds": repeat_seed(0, models),
+        "seeds": np.zeros(models, np.uint32),
         "view_ids": np.arange(models * views, dtype=np.int32).reshape(models, views),
     }
 

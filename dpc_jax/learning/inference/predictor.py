@@ -117,7 +117,7 @@ def make_predictor(
     mesh = devices.make_mesh(config)
     # Every process of a job gets all of it.
     whole = NamedSharding(mesh, devices.WHOLE) if jax.process_count() > 1 else None
-    in_specs = (find_parts(network, config, mesh), *[devices.OBJECTS] * 4)
+    in_specs = (find_parts(network, config), *[devices.OBJECTS] * 4)
     return jax.jit(devices.share_padded(predict, mesh, in_specs), out_shardings=whole)
 
 
