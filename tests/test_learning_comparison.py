@@ -435,12 +435,6 @@ def test_sizes_and_masses_are_those_of_the_paper(kind):
         np.testing.assert_allclose(ours, theirs, rtol=1e-5, atol=1e-5)
 
 
-def test_sizes_on_a_finer_grid_keep_each_density():
-    sigma, mass = scale_sizes(jnp.array(1.2), jnp.array(0.05), 3)
-    assert sigma == pytest.approx(3 * 1.2)
-    assert mass / sigma**3 == pytest.approx(0.05 / 1.2**3)
-
-
 def test_dropout_keeps_each_point_with_its_own_size_and_mass():
     config = tiny_config(source="given", num_points=COUNT, point_size="covariance")
     network = make_network(config)

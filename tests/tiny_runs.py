@@ -4,6 +4,7 @@ import contextlib
 import dataclasses
 import json
 import os
+import socket
 import subprocess
 import sys
 from pathlib import Path
@@ -129,6 +130,13 @@ def run_python(*words: str, **environment: str | None):
         timeout=300,
         env={name: value for name, value in both.items() if value is not None},
     )
+
+
+def find_address() -> str:
+    """An address of this machine whose port is free."""
+    with socket.socket() as found:
+        found.bind(("127.0.0.1", 0))
+        return f"127.0.0.1:{found.getsockname()[1]}"
 
 
 def copy(tree):
