@@ -1,11 +1,11 @@
 """A run of two processes that find each other on this machine."""
 
 import signal
-import socket
 import time
 
 import pytest
 from config_files import Command, finish
+from tiny_runs import find_address
 
 from dpc_jax.learning.training.records import MetricLog
 
@@ -42,10 +42,7 @@ def command(tmp_path_factory):
 
 def start_two(command, workdir, **second):
     """Two processes with a device each; the second may have other fields."""
-    with socket.socket() as found:
-        found.bind(("127.0.0.1", 0))
-        address = f"127.0.0.1:{found.getsockname()[1]}"
-    flags = [f"--coordinator={address}", "--processes=2"]
+    flags = [f"--coordinator={find_address()}", "--processes=2"]
     return [
         command.start(workdir, *flags, "--process=0"),
         command.start(workdir, *flags, "--process=1", **second),

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from tiny_runs import make_recipe, tiny_config
 
-from dpc_jax.config import Pose, replace_fields
+from dpc_jax.config import Pose
 from dpc_jax.learning import devices
 from dpc_jax.learning.cameras import anchor_cameras
 
@@ -19,7 +19,7 @@ CAMERAS = {
 
 def measure(cameras, count, **learned):
     """The loss and its gradient; a training step averages over devices like this."""
-    config = replace_fields(tiny_config(), {"run": {"devices": count}})
+    config = tiny_config(devices=count)
     mesh = devices.make_mesh(config)
 
     def compare(cameras):

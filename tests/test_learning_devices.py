@@ -19,7 +19,7 @@ from tiny_runs import (
     tiny_config,
 )
 
-from dpc_jax.config import check, replace_fields
+from dpc_jax.config import check
 from dpc_jax.learning import devices
 from dpc_jax.learning.inference import predictor as predictor_module
 from dpc_jax.learning.inference.predictor import make_predictor, predict_all
@@ -48,8 +48,7 @@ def shared_layers():
 
 
 def configure(count, **changes):
-    config = tiny_config(**EVERYTHING | changes)
-    return replace_fields(config, {"run": {"devices": count}})
+    return tiny_config(devices=count, **EVERYTHING | changes)
 
 
 @functools.cache
@@ -118,8 +117,7 @@ def test_gradients_are_measured_when_asked_and_else_looked_at(bad):
 def test_volumes_are_learned_on_two_devices_as_on_one():
     found = []
     for count in (1, 2):
-        config = tiny_config(shape="voxels", source="given")
-        config = replace_fields(config, {"run": {"devices": count}})
+        config = tiny_config(shape="voxels", source="given", devices=count)
         network = make_network(config)
         state, metrics = make_step(network, config)(
             make_state(network, config), make_batch()

@@ -26,6 +26,7 @@ from dpc_jax.learning.candidates import (
     turn_candidates,
 )
 from dpc_jax.learning.choice import hindsight
+from dpc_jax.learning.devices import AXIS
 from dpc_jax.learning.objective import compute_loss
 from dpc_jax.learning.poses.source import compare_labels, compare_student
 from dpc_jax.learning.recipe import Averages
@@ -147,7 +148,8 @@ def test_half_turns_are_unit_turns_by_180_degrees_about_the_principal_axes():
     axes = rotate(random_quaternions(4))  # columns
     rng = np.random.default_rng(0)
     points = (rng.normal(size=(500, 3)) * [1, 2, 3]) @ axes.T + [5, 6, 7]
-    covariance = compute_covariance(jnp.array(points, jnp.float32))
+    compute = jax.vmap(compute_covariance, axis_name=AXIS)
+    (covariance,) = compute(jnp.array(points[None], jnp.float32))
     np.testing.assert_allclose(
         covariance, np.cov(points.T, bias=True), rtol=1e-4, atol=1e-4
     )

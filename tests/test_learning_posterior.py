@@ -33,7 +33,6 @@ from dpc_jax.networks.viewpoints import face_object, read_elevations
 CONFIG = tiny_config(
     student="selects", flips=True, head="viewpoint", fine_grid=32, keep_end=1.0
 )
-RATIO = CONFIG.render.finest / CONFIG.render.grid
 UNSEARCHED = replace_fields(CONFIG, {"pose": {"head": "quaternion"}})
 
 
@@ -65,14 +64,14 @@ def see(pose):
 @functools.partial(jax.jit, static_argnames="config")
 def search(pose, observation, mass=3.0, *, config=CONFIG):
     """The viewpoint found near a pose, and its loss."""
-    scene = make_scene() | {"mass": mass}
+    scene = Points.weigh_finest(make_scene() | {"mass": mass}, config.render)
     return search_nearby(scene, pose, observation, config=config)
 
 
 @jax.jit
 def measure(poses, observation):
     """Losses in the finest grid."""
-    scene = Points.resize(make_scene(), RATIO)
+    scene = Points.weigh_finest(make_scene(), CONFIG.render)
     return compare_poses(scene, poses, observation, config=CONFIG)
 
 

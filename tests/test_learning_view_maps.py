@@ -6,13 +6,8 @@ import numpy as np
 import pytest
 import trimesh
 from data_trees import rotate
-from tiny_runs import (
-    make_recipe,
-    random_quaternions,
-    tiny_config,
-)
+from tiny_runs import make_recipe, random_quaternions, tiny_config
 
-from dpc_jax.config import replace_fields
 from dpc_jax.data import DataSpec, load_or_render
 from dpc_jax.data.batches import read_batch
 from dpc_jax.data.viewpoints import CORNERS, look_at_rotation
@@ -23,9 +18,7 @@ from dpc_jax.learning.shapes.view_maps import ViewMaps
 from dpc_jax.networks.view_maps import fuse_maps, list_fixed_views, make_planes
 from dpc_jax.render import Camera
 
-CONFIG = replace_fields(
-    tiny_config(source="given", depth_weight=1.0), {"network": {"shape": "maps"}}
-)
+CONFIG = tiny_config(source="given", depth_weight=1.0, shape="maps")
 
 
 @pytest.fixture(scope="module")

@@ -8,7 +8,7 @@ import sys
 from pathlib import Path
 
 import pytest
-from tiny_runs import run_python
+from tiny_runs import find_address, run_python
 
 from dpc_jax.config import Config, name_differences, replace_fields
 from dpc_jax.learning.training.agreement import list_versions
@@ -87,7 +87,7 @@ with joining(Place(address, 2, process)) as job:
 
 def test_two_processes_tell_each_other_fail_together_and_stop_at_one_step():
     command = [sys.executable, "-c", JOB]
-    address = f"127.0.0.1:{find_port()}"
+    address = find_address()
     started = [
         subprocess.Popen(
             [*command, str(process), address, "2"],
@@ -108,15 +108,9 @@ def test_two_processes_tell_each_other_fail_together_and_stop_at_one_step():
     assert 5 <= found[0]["steps"] <= 7
 
 
-def find_port():
-    with socket.socket() as found:
-        found.bind(("127.0.0.1", 0))
-        return found.getsockname()[1]
-
-
 def test_processes_that_do_not_come_are_waited_for_only_so_long(tmp_path):
     """Then jax ends the process, with words of its own."""
-    address = f"127.0.0.1:{find_port()}"
+    address = find_address()
     flags = [f"--coordinator={address}", "--processes=2", "--process=1"]
     done = run_python(
         *("-m", "dpc_jax.main", f"--config={ROOT}/configs/debug.py"),

@@ -11,7 +11,14 @@ from dpc_jax.learning.inference import evaluator
 from dpc_jax.learning.inference.predictor import Predictions
 from dpc_jax.run.report.shown_views import Judged, choose_examples, choose_views
 from dpc_jax.run.report.summary import list_warnings, measure_gains
-from dpc_jax.run.report.training_shapes import REFERENCES, TrainingShapes
+from dpc_jax.run.report.training_shapes import (
+    REFERENCES,
+    TrainingShapes,
+    average_surfaces,
+    coarsen,
+    find_nearest,
+    take_fullest,
+)
 
 
 def test_worst_median_and_best_are_of_different_objects_and_no_view_comes_twice():
@@ -46,7 +53,6 @@ def predict_truth(dataset, seed=0):
     return Predictions(
         points=points,
         poses=poses,
-        candidate_poses=poses,
         winners=np.zeros((count, views), int),
         silhouettes=silhouettes,
         candidates=poses[:, :, None],
@@ -140,3 +146,38 @@ def test_what_was_skipped_is_counted_and_named():
     }
     (warning,) = list_warnings(tiny_config(), sets, None)
     assert warning == "Models skipped: 1 (car-0: it is empty)."
+
+
+# The training shape that is nearest to a shape, and the mean one.
+
+
+def make_boxes(count, seed=0):
+    rng = np.random.default_rng(seed)
+    sides = rng.uniform(0.1, 0.6, (count, 1, 3))
+    return sides * rng.uniform(-0.5, 0.5, (count, 500, 3))
+
+
+def test_the_shortlist_loses_little_against_comparing_all():
+    boxes, others = make_boxes(80), make_boxes(6, seed=1)
+    coarse = coarsen(boxes)
+    excess = []
+    for other in others:
+        nearest = boxes[find_nearest(boxes.__getitem__, coarse, other)]
+        found = chamfer_distance(nearest, other).chamfer
+        best = min(chamfer_distance(box, other).chamfer for box in boxes)
+        excess.append(found / best - 1)
+    # Sampling noise of 500 points decides between shapes that are nearly as near.
+    assert np.mean(excess) < 0.02 and max(excess) < 0.1
+
+
+def test_cells_count_shapes_once_and_have_the_mean_of_all_points():
+    first = np.array([[0.3, 0.3, 0.3], [0.35, 0.3, 0.3], [-0.4, 0, 0]])
+    second = np.array([[0.4, 0.3, 0.3], [0.4, 0.3, -0.3]])
+    shares, places = average_surfaces([first, second], side=2)
+    by_cell = shares.reshape(2, 2, 2)
+    assert by_cell[1, 1, 1] == 1.0 and by_cell[1, 1, 0] == by_cell[0, 1, 1] == 0.5
+    assert shares.sum() == 2.0
+    np.testing.assert_allclose(places[np.argmax(shares)], [0.35, 0.3, 0.3])
+    fullest = take_fullest(shares, places, 1)
+    np.testing.assert_allclose(fullest, [[0.35, 0.3, 0.3]])
+    assert len(take_fullest(shares, places, 8)) == 3  # empty cells are none

@@ -4,6 +4,7 @@ import contextlib
 import dataclasses
 import json
 import os
+import socket
 import subprocess
 import sys
 from pathlib import Path
@@ -15,7 +16,6 @@ from data_trees import DISTANCE, FOCAL_LENGTH, project_points
 
 from dpc_jax.config import Config, replace_fields, to_json
 from dpc_jax.data import DataSet
-from dpc_jax.learning.batches import repeat_seed
 from dpc_jax.learning.recipe import Averages, Recipe
 from dpc_jax.learning.schedules import find_stage
 from dpc_jax.learning.step import TrainState, init_state, make_train_step
@@ -132,6 +132,13 @@ def run_python(*words: str, **environment: str | None):
     )
 
 
+def find_address() -> str:
+    """An address of this machine whose port is free."""
+    with socket.socket() as found:
+        found.bind(("127.0.0.1", 0))
+        return f"127.0.0.1:{found.getsockname()[1]}"
+
+
 def copy(tree):
     """A copy whose memory a training step may take."""
     return jax.tree.map(jnp.copy, tree)
@@ -183,7 +190,7 @@ def make_batch(*, models: int = 2, views: int = 2, seed: int = 0) -> dict:
         "images": dataset.images,
         "masks": dataset.masks,
         "quaternions": dataset.quaternions,
-        "seeds": repeat_seed(0, models),
+        "seeds": np.zeros(models, np.uint32),
         "view_ids": np.arange(models * views, dtype=np.int32).reshape(models, views),
     }
 

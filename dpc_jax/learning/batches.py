@@ -27,7 +27,7 @@ def make_batch(dataset: DataSet, step: int, config: Config) -> dict[str, Any]:
     rows = read_batch(dataset, models[own], views[own], extras=extras)
     view_ids = models[:, None] * int(counts.max()) + views
     rows["view_ids"] = view_ids[own].astype(np.int32)
-    rows["seeds"] = repeat_seed(config.seed, len(models))[own]
+    rows["seeds"] = np.full(len(models), config.seed, np.uint32)[own]
     return devices.assemble(rows, config)
 
 
@@ -40,8 +40,3 @@ def list_extras(config: Config) -> tuple[str, ...]:
         "focal_lengths": pose.known and data.focal_spread and not pose.focal_length,
     }
     return tuple(name for name, holds in is_given.items() if holds)
-
-
-def repeat_seed(seed: int, objects: int) -> np.ndarray:
-    """The seed of a run, uint32 [B], for each object of a batch."""
-    return np.full(objects, seed % 2**32, np.uint32)

@@ -6,12 +6,14 @@ each principal axis of the predicted points; the gradient reaches the head throu
 fixed turn.
 """
 
+import functools
 from typing import NamedTuple
 
 import jax
 import jax.numpy as jnp
 
 from dpc_jax.config import Pose
+from dpc_jax.learning.devices import AXIS
 from dpc_jax.render import quaternion
 
 
@@ -68,19 +70,15 @@ def average_covariance(
 
 
 def compute_covariance(
-    points: jax.Array, weights: jax.Array | None = None, *, axis: str | None = None
+    points: jax.Array, weights: jax.Array | None = None
 ) -> jax.Array:
-    """Covariance [3, 3] of points [..., 3], without gradient.
+    """Covariance [3, 3] of points [..., 3] of all devices, without gradient.
 
     Args:
       weights: [...], of each point; None for all alike.
-      axis: that names devices, each with its share of the points; they get that of all.
     """
     points = jax.lax.stop_gradient(points.reshape(-1, 3))
-
-    def average(value):
-        return value if axis is None else jax.lax.pmean(value, axis)
-
+    average = functools.partial(jax.lax.pmean, axis_name=AXIS)
     if weights is None:
         away = points - average(jnp.mean(points, axis=0, keepdims=True))
         moments = jnp.matmul(away.T, away, precision="highest") / points.shape[0]

@@ -66,7 +66,7 @@ def make_mesh(config: Config) -> Mesh:
 
 def find_share(objects: int, devices: int) -> int:
     """The largest number, at most `devices`, that divides the objects; at least 1."""
-    return max(n for n in range(1, max(devices, 1) + 1) if objects % n == 0)
+    return max(n for n in range(1, devices + 1) if objects % n == 0)
 
 
 def find_own(objects: int) -> slice:

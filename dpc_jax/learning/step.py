@@ -8,7 +8,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import optax
-from jax.sharding import Mesh, NamedSharding
+from jax.sharding import NamedSharding
 
 from dpc_jax.config import Config
 from dpc_jax.learning import devices, schedules
@@ -42,20 +42,30 @@ def init_state(network: ShapePoseNetwork, config: Config) -> TrainState:
         lambda seed: _init_whole(network, config, seed),
         out_shardings=jax.tree.map(lambda leaf: leaf.sharding, like),
     )
-    return init(np.uint32(config.seed % 2**32))
+    return init(np.uint32(config.seed))
 
 
 def describe_state(network: ShapePoseNetwork, config: Config) -> TrainState:
-    """Shapes, dtypes and places of a state's arrays, as `jax.ShapeDtypeStruct`."""
+    """Shapes, dtypes and places of a state's arrays, as `jax.ShapeDtypeStruct`.
+
+    What was seen of the category is whole: every device judges its objects by it.
+    """
     mesh = devices.make_mesh(config)
     shapes = jax.eval_shape(lambda: _init_whole(network, config, 0))
+    whole = jax.tree.map(lambda _: devices.WHOLE, shapes)
+    params, optimizer = devices.choose_parts((shapes.params, shapes.optimizer), mesh)
     return jax.tree.map(
         lambda leaf, part: jax.ShapeDtypeStruct(
             leaf.shape, leaf.dtype, sharding=NamedSharding(mesh, part)
         ),
         shapes,
-        find_parts(network, config, mesh),
+        whole._replace(params=params, optimizer=optimizer),
     )
+
+
+def find_parts(network: ShapePoseNetwork, config: Config) -> TrainState:
+    """The partition of each array of a state."""
+    return jax.tree.map(lambda a: a.sharding.spec, describe_state(network, config))
 
 
 def _init_whole(network, config, seed):
@@ -75,17 +85,6 @@ def _init_whole(network, config, seed):
     return TrainState(step, params, optimizer, averages)
 
 
-def find_parts(network: ShapePoseNetwork, config: Config, mesh: Mesh) -> TrainState:
-    """The partition of each array of a state.
-
-    What was seen of the category is whole: every device judges its objects by it.
-    """
-    shapes = jax.eval_shape(lambda: _init_whole(network, config, 0))
-    whole = jax.tree.map(lambda _: devices.WHOLE, shapes)
-    params, optimizer = devices.choose_parts((shapes.params, shapes.optimizer), mesh)
-    return whole._replace(params=params, optimizer=optimizer)
-
-
 def make_train_step(
     network: ShapePoseNetwork, config: Config, stage: schedules.Stage
 ) -> Callable:
@@ -95,14 +94,14 @@ def make_train_step(
       A function (state, batch) -> (state, metrics) that gives the old state's memory
       to the new one. The dropout key is a function of seed, step and place in the
       batch, so any step can be replayed, on any number of devices. The batch has
-      "view_ids" int32 [B, V] and "seeds" [B] besides the arrays of `read_batch`, the
-      run's seed for each object (`batches.repeat_seed`): as an input, so that other
-      seeds share the program.
+      "view_ids" int32 [B, V] and "seeds" uint32 [B] besides the arrays of `read_batch`,
+      the run's seed for each object: as an input, so that other seeds share the
+      program.
       The metrics are those of `compute_loss`, the loss, and "gradient_norms" {module:
       ()}, measured at one step of ten (`devices.compute_norms`).
     """
     mesh = devices.make_mesh(config)
-    parts = find_parts(network, config, mesh)
+    parts = find_parts(network, config)
     update = _make_update(network, config, stage, parts, mesh.size)
     shared = jax.shard_map(
         update,

@@ -121,15 +121,10 @@ class ShapePoseNetwork(nn.Module):
         """The features but those that colours alone see."""
         return features[..., :-TINT] if self.is_tinted else features
 
-    def judge_poses(self, quaternions: jax.Array) -> jax.Array:
-        """Unit quaternions [n, 4] to logits [n], see `PoseJudge`."""
-        assert self.judge is not None
-        return self.judge(quaternions)
-
     def __call__(self, images: jax.Array) -> dict[str, jax.Array]:
         """All predictions for images [B, S, S, 3], or 4; also makes the parameters."""
         features = self.encode(images)
         poses = self.predict_pose(features) | self.predict_camera(features)
         if self.is_initializing() and self.judge is not None:
-            self.judge_poses(poses["candidates"][:, 0])  # makes its parameters
+            self.judge(poses["candidates"][:, 0])  # makes its parameters
         return self.predict_shape(features) | poses

@@ -57,7 +57,7 @@ def choose_poses(
     if candidates.shape[1] == 1:
         return Winners(candidates[:, 0], jnp.zeros(len(candidates), jnp.int32))
 
-    pose, render, camera = recipe.pose, recipe.render, recipe.camera
+    pose, render = recipe.pose, recipe.render
     weights = recipe.weights._replace(background=0)  # silhouettes by their squares
     at_once = render.renders_at_once
     is_ranked = 0 < pose.choice_top < candidates.shape[1]
@@ -68,13 +68,9 @@ def choose_poses(
     if "color" not in weights.signals:
         scene.pop("colors", None)
 
-    def make_view(candidates, per_view):
-        rule = render.ray_rule
-        return place_view(candidates, per_view, render.grid, camera, ray_rule=rule)
-
     def compare(inputs):
         scene, candidates, targets, per_view = inputs
-        view = make_view(candidates, per_view)
+        view = place_view(candidates, per_view, render.grid, render)
         return compare_in_scene(kind, scene | shared, view, targets, how)
 
     targets = make_targets(
@@ -103,19 +99,13 @@ def compare_in_scene(
 ) -> jax.Array:
     """Losses [C] of a view of checked arguments; infinite of what is ranked too low."""
     coarse = kind.rank(scene, view, targets["silhouette"], how)
-    if coarse is not None and how.top == 0:
-        return coarse
-
-    def compare(view):
-        at_once = how.renders_at_once
-        return kind.compare_candidates(
-            scene, view, targets, weights=how.weights, renders_at_once=at_once
-        )
-
     if coarse is None:
-        return compare(view)
+        return kind.compare_candidates(scene, view, targets, how)
+    if how.top == 0:
+        return coarse
     _, best = jax.lax.top_k(-coarse, min(how.top, len(view.rotation)))
-    exact = compare(view._replace(rotation=view.rotation[best]))
+    view = view._replace(rotation=view.rotation[best])
+    exact = kind.compare_candidates(scene, view, targets, how)
     return jnp.full_like(coarse, jnp.inf).at[best].set(exact)
 
 

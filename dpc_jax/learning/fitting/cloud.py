@@ -6,7 +6,8 @@ from typing import Any, NamedTuple
 import jax
 import jax.numpy as jnp
 
-from dpc_jax.learning.shapes.kind import View, place_view, sum_views
+from dpc_jax.learning.cameras import place_camera
+from dpc_jax.learning.shapes.kind import View, sum_views
 from dpc_jax.learning.shapes.points import Points
 from dpc_jax.learning.signals import Weights
 from dpc_jax.render import Camera
@@ -66,17 +67,6 @@ def make_shell(key: jax.Array, count: int) -> jax.Array:
     return 0.45 * away / jnp.linalg.norm(away, axis=1, keepdims=True)
 
 
-def place(
-    view: Mapping[str, jax.Array],
-    camera: Camera,
-    side: int,
-    max_blocks: int | None = None,
-) -> View:
-    """One of `Cloud.list_views`, in a grid of that side."""
-    how = {"max_blocks": max_blocks, "method": METHOD}
-    return place_view(view["rotation"], view, side, camera, **how)
-
-
 def split_points(cloud: Cloud, key: jax.Array, *, parts: int, distance: float) -> Cloud:
     """So many points for each, in random directions, so far away in the mean."""
     points = jnp.repeat(cloud.points, parts, axis=0)
@@ -109,7 +99,15 @@ def compare_views(
     given = {"images": images, "sigma": sigma}
 
     def compare(learned, given):
-        view = place(learned["view"], camera, side, max_blocks)
+        own = learned["view"]
+        view = View(
+            own["rotation"],
+            place_camera(camera, own),
+            side,
+            own.get("translation"),
+            max_blocks=max_blocks,
+            method=METHOD,
+        )
         scene = learned["scene"] | {"sigma": given["sigma"]}
         return Points.compare_view(scene, view, given["images"], weights=weights)
 

@@ -14,7 +14,6 @@ from dpc_jax.learning.fitting.cloud import (
     METHOD,
     Cloud,
     compare_views,
-    place,
     take_views,
 )
 from dpc_jax.learning.losses import (
@@ -152,13 +151,12 @@ def _pull(cloud: Cloud, outside, camera, chosen):
 
     def measure(entry):
         own, distances = entry
-        view = place(own, camera, distances.shape[-1])
         return pull_inside(
             cloud.points,
-            view.rotation,
+            own["rotation"],
             distances,
-            camera=view.camera,
-            translation=view.translation,
+            camera=place_camera(camera, own),
+            translation=own.get("translation"),
         )
 
     entries = take_views((cloud.list_views(camera), outside), chosen)

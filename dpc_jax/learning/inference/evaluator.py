@@ -62,13 +62,15 @@ def score(
         validation shapes have, make its distances longer.
     """
     poses, surfaces, visible = arrange_truth(dataset)
+    winners = np.asarray(predictions.winners)[..., None, None]
+    best = np.take_along_axis(predictions.candidates, winners, axis=2)[:, :, 0]
     result = scores.score(
         None if poses_given else predictions.poses,
         poses,
         predictions.points,
         surfaces,
         alignment=alignment,
-        best_candidate_poses=None if poses_given else predictions.candidate_poses,
+        best_candidate_poses=None if poses_given else best,
         chamfer_views=chamfer_views,
         visible=visible if has_visible else None,
     )

@@ -15,7 +15,7 @@ from dpc_jax.learning.framing import (
     frame_by_moments,
 )
 from dpc_jax.learning.shapes import find_shape_class
-from dpc_jax.learning.shapes.kind import Choice, Scene, View, place_view
+from dpc_jax.learning.shapes.kind import Choice, Scene, place_view
 from dpc_jax.learning.signals import (
     downsample_images,
     find_background,
@@ -60,13 +60,6 @@ def observe(
     return Observation(target, cameras, frame)
 
 
-def _place_view(rotation, per_view, side: int, config: Config) -> View:
-    """A view of the run's shapes; see `place_view`."""
-    camera = Camera(config.render.focal_length, config.render.distance)
-    rule = config.render.ray_rule
-    return place_view(rotation, per_view, side, camera, ray_rule=rule)
-
-
 def compare_poses(
     scene: Scene, poses: jax.Array, observation: Observation, *, config: Config
 ) -> jax.Array:
@@ -81,13 +74,13 @@ def compare_poses(
     side, at_once = target.shape[0], config.render.renders_at_once
     kind = find_shape_class(config.network.shape)
     if frame is None:
-        view = _place_view(poses, own, side, config)
-        targets = {"silhouette": target}
-        return kind.compare_candidates(scene, view, targets, renders_at_once=at_once)
+        view = place_view(poses, own, side, config.render)
+        how = Choice(renders_at_once=at_once)
+        return kind.compare_candidates(scene, view, {"silhouette": target}, how)
     framed = cut_silhouettes(target, frame)
 
     def compare(pose):
-        view = _place_view(pose, own, side, config)
+        view = place_view(pose, own, side, config.render)
         image = kind.render(scene, view, signals=("silhouette",)).silhouette
         assert image is not None
         found = fit_frame(frame_by_moments(image), image, framed)
@@ -107,7 +100,7 @@ def rank_poses(
         return compare_poses(scene, poses, observation, config=config)
     target, own, _ = observation
     how = Choice(RANKING_POINTS, 0, config.render.renders_at_once)
-    view = _place_view(poses, own, target.shape[0], config)
+    view = place_view(poses, own, target.shape[0], config.render)
     kind = find_shape_class(config.network.shape)
     return compare_in_scene(kind, scene, view, {"silhouette": target}, how)
 
@@ -175,23 +168,15 @@ def render_finest(
     signals: tuple[str, ...] = ("silhouette",),
     config: Config,
 ) -> Projection:
-    """A shape in the finest grid, seen from a pose [4].
+    """A shape in the finest grid, seen from a pose [4], as of `Shape.weigh_finest`.
 
     Args:
       scene: sizes in voxels of the base grid. camera: as `Observation.camera`.
     """
     render, kind = config.render, find_shape_class(config.network.shape)
     return kind.render(
-        kind.resize(scene, render.finest / render.grid),
-        _place_view(pose, camera, render.finest, config),
+        kind.weigh_finest(scene, render),
+        place_view(pose, camera, render.finest, render),
         signals=signals,
         background_depth=find_background(render.distance),
-    )
-
-
-def weigh_finest(scene: Scene, config: Config) -> Scene:
-    """A scene for the finest grid, as dense as training renders last."""
-    kind, render = find_shape_class(config.network.shape), config.render
-    return kind.resize(
-        kind.weigh_as_trained(scene, render), render.finest / render.grid
     )

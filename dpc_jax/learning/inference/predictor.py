@@ -43,8 +43,8 @@ class Predictions(NamedTuple):
       poses: [M, V, 4], predicted: the student's quaternion, or that of the largest
         posterior (`pose.student`), a viewpoint then searched for nearby; the given
         one where poses are known.
-      candidate_poses: [M, V, 4], the candidate, turned or not, that fits the view best.
-      winners: [M, V] its index; of head index % K, whether turned or not.
+      winners: [M, V] index of the candidate, turned or not, that fits the view best; of
+        head index % K.
       silhouettes: [M, V, D, D], the shape seen from the predicted pose, its points of
         the size that the schedule ends with.
       depths: [M, V, D, D], color_images: [M, V, D, D, 3] of the same render; None for
@@ -62,7 +62,6 @@ class Predictions(NamedTuple):
 
     points: np.ndarray
     poses: np.ndarray
-    candidate_poses: np.ndarray
     winners: np.ndarray
     silhouettes: np.ndarray
     candidates: np.ndarray
@@ -118,7 +117,7 @@ def make_predictor(
     mesh = devices.make_mesh(config)
     # Every process of a job gets all of it.
     whole = NamedSharding(mesh, devices.WHOLE) if jax.process_count() > 1 else None
-    in_specs = (find_parts(network, config, mesh), *[devices.OBJECTS] * 4)
+    in_specs = (find_parts(network, config), *[devices.OBJECTS] * 4)
     return jax.jit(devices.share_padded(predict, mesh, in_specs), out_shardings=whole)
 
 
@@ -164,7 +163,7 @@ def _list_entries(output, state, arrays, quaternions, config, knows_distance):
     )
     entries = {
         "scene": scene,
-        "shown": kind.weigh_as_trained(shown, render),
+        "shown": shown,
         "poses": poses,  # predicted, or given ones
         "chances": find_probabilities(poses),
         "image": arrays["images"],
@@ -193,8 +192,7 @@ def _explain(entry, *, shared, scores, config):
         (taken,) = find_likeliest(scene, *known, count=1, config=config)
     losses, chances = losses[:heads], chances[:heads]
     chances /= jnp.maximum(jnp.sum(chances), jnp.finfo(chances.dtype).tiny)
-    winner = jnp.argmin(losses)
-    found = {"winners": winner, "candidate_poses": candidates[winner], "poses": taken}
+    found = {"winners": jnp.argmin(losses), "poses": taken}
     found |= {"losses": losses, "probabilities": chances}
     return found | _render_images(shown, taken, fine.camera, config)
 

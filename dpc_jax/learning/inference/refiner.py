@@ -224,9 +224,6 @@ def _fit(decode, evidence: Evidence, directions, config, poses):
         shape, scenes, shared = decode(
             evidence.codes + jnp.pad(changes, ((0, 0), (0, tints)))
         )
-        scenes = find_shape_class(config.network.shape).weigh_as_trained(
-            scenes, config.render
-        )
         turned = turn(poses, turns)
         views = turned, evidence.cameras
         images = _map_views(render, scenes, shared, views, config)

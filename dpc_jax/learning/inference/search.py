@@ -9,8 +9,8 @@ from dpc_jax.learning.inference.explanation import (
     compare_poses,
     find_posteriors,
     rank_poses,
-    weigh_finest,
 )
+from dpc_jax.learning.shapes import find_shape_class
 from dpc_jax.learning.shapes.kind import Scene
 from dpc_jax.networks.viewpoints import list_viewpoints, read_elevations
 from dpc_jax.render import quaternion
@@ -78,12 +78,13 @@ def find_likeliest(
     posteriors = find_posteriors(losses, probabilities)
     best = _find_peaks(candidates, posteriors, min(FINALISTS, len(candidates)))
     poses = candidates[best]
+    kind = find_shape_class(config.network.shape)
+    finest = kind.weigh_finest(scene, config.render)
     if config.pose.elevations:
         poses, losses = jax.lax.map(
-            lambda pose: search_nearby(scene, pose, fine, config=config), poses
+            lambda pose: search_nearby(finest, pose, fine, config=config), poses
         )
     else:
-        finest = weigh_finest(scene, config)
         losses = compare_poses(finest, poses, fine, config=config)
     posteriors = find_posteriors(losses, probabilities[best])
     return poses[jnp.argsort(-posteriors)[:count]]
@@ -113,10 +114,10 @@ def search_nearby(
     the paper.
 
     Args:
-      scene: of the shape, sizes in voxels of the base grid.
+      scene: of the shape, as of `Shape.weigh_finest`.
       pose: [4] quaternion of an upright camera.
     """
-    finer, reach = weigh_finest(scene, config), jnp.deg2rad(REACH)
+    reach = jnp.deg2rad(REACH)
     limits = config.pose.elevation_low, config.pose.elevation_high
     low, high = (jnp.deg2rad(angle) for angle in limits)
     # Azimuth and elevation, one to each side.
@@ -124,7 +125,7 @@ def search_nearby(
     turn = jax.vmap(_turn_view, in_axes=(None, 0))
 
     def measure(poses):
-        return compare_poses(finer, poses, fine, config=config)
+        return compare_poses(scene, poses, fine, config=config)
 
     def move(pose, _):
         here, left, right, below, above = measure(turn(pose, sides))

@@ -15,6 +15,7 @@ from which no other is tried any more (docs/baselines.md).
 
 import functools
 from collections.abc import Mapping
+from typing import Any
 
 import jax
 import jax.numpy as jnp
@@ -119,8 +120,7 @@ def judge_poses(
     predicted = signs[:, None] * quaternions / length
 
     def judge(params, poses, label):
-        logits = network.apply(params, poses, method="judge_poses")
-        assert isinstance(logits, jax.Array)
+        logits: Any = network.apply(params, poses, method=lambda net, q: net.judge(q))
         labels = jnp.full_like(logits, label)
         return optax.losses.sigmoid_binary_cross_entropy(logits, labels)
 

@@ -21,7 +21,6 @@ from dpc_jax.learning.candidates import (
     compute_covariance,
 )
 from dpc_jax.learning.choice.hindsight import Winners, choose_poses
-from dpc_jax.learning.devices import AXIS
 from dpc_jax.learning.losses import Term
 from dpc_jax.learning.recipe import Averages, Recipe
 from dpc_jax.learning.schedules import is_framing
@@ -119,7 +118,7 @@ def predict_candidates(
     averages, pose = forward.averages, recipe.pose
     if pose.half_turns:
         places, weights = forward.shapes.find_places()
-        current = compute_covariance(places, weights, axis=AXIS)
+        current = compute_covariance(places, weights)
         covariance = average_covariance(averages.covariance, current, forward.step)
         averages = averages._replace(covariance=covariance)
     output = recipe.network.apply(

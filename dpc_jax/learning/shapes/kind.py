@@ -2,7 +2,8 @@
 
 An instance holds the shapes of a batch. Its class, which is static, knows what is done
 with the scene of one object: a dictionary of what it is rendered from, by name. What a
-kind does not say itself, it does as here; what methods are for is said here alone.
+kind does not say itself, it does as here; what methods are for, and of which types they
+take and give, is said here alone.
 """
 
 import dataclasses
@@ -47,11 +48,9 @@ class View(NamedTuple):
     @property
     def without_gradient(self) -> "View":
         """The same view; no gradient reaches it."""
-        stop, camera = jax.lax.stop_gradient, self.camera
-        if isinstance(camera.focal_length, jax.Array):  # a view's own
-            focal_length = stop(camera.focal_length)
-            camera = dataclasses.replace(camera, focal_length=focal_length)
-        rotation, translation = stop((self.rotation, self.translation))
+        rotation, camera, translation = jax.lax.stop_gradient(
+            (self.rotation, self.camera, self.translation)
+        )
         return self._replace(rotation=rotation, camera=camera, translation=translation)
 
     @property
@@ -66,11 +65,12 @@ class View(NamedTuple):
 
 
 def place_view(
-    rotation: jax.Array, per_view: Cameras, side: int, camera: Camera, **how: Any
+    rotation: jax.Array, per_view: Cameras, side: int, render: Render, **how: Any
 ) -> View:
-    """A view; `per_view` is what its camera differs in, `how` other fields of it."""
+    """A view of a run; `per_view` is what its camera differs in, `how` other fields."""
+    camera = place_camera(Camera(render.focal_length, render.distance), per_view)
     shift = per_view.get("translation")
-    return View(rotation, place_camera(camera, per_view), side, shift, **how)
+    return View(rotation, camera, side, shift, render.ray_rule, **how)
 
 
 class Choice(NamedTuple):
@@ -81,9 +81,9 @@ class Choice(NamedTuple):
       weights: of the signals of the comparison at full resolution.
     """
 
-    points: int
-    top: int
-    renders_at_once: int | None
+    points: int = 0
+    top: int = 0
+    renders_at_once: int | None = None
     weights: Weights = SILHOUETTES
 
 
@@ -158,7 +158,7 @@ class Shape:
           (() the weighted sum, which has the gradient; {name: ()} of its terms; [B]
           what each view has of the sum, without gradient).
         """
-        render, weights, camera = recipe.render, recipe.weights, recipe.camera
+        render, weights = recipe.render, recipe.weights
         count, ratio = len(views["rotation"]), stage.grid / render.grid
         scene, shared = self.list_scenes(ratio)
         learned = {**scene, **views}
@@ -176,8 +176,8 @@ class Shape:
 
         def compare_view(learned, given):
             scene = given | learned
-            how = {"ray_rule": render.ray_rule, "max_blocks": stage.max_blocks}
-            view = place_view(scene["rotation"], scene, stage.grid, camera, **how)
+            room = {"max_blocks": stage.max_blocks}
+            view = place_view(scene["rotation"], scene, stage.grid, render, **room)
             return kind.compare_view(
                 scene,
                 view,
@@ -202,13 +202,8 @@ class Shape:
         raise NotImplementedError
 
     @staticmethod
-    def resize(scene: Scene, ratio: float) -> Scene:
-        """A scene for a grid with `ratio` times as many cells per side."""
-        return scene
-
-    @staticmethod
-    def weigh_as_trained(scene: Scene, render: Render) -> Scene:
-        """A scene as dense as training renders last."""
+    def weigh_finest(scene: Scene, render: Render) -> Scene:
+        """A scene for the finest grid, as dense as training renders last."""
         return scene
 
     @classmethod
@@ -258,25 +253,23 @@ class Shape:
         scene: Scene,
         view: View,
         targets: Mapping[str, jax.Array],
-        *,
-        weights: Weights = SILHOUETTES,
-        renders_at_once: int | None = None,
+        how: Choice,
     ) -> jax.Array:
         """Losses [C] of the view's candidates, compared with one target by images.
 
         Args:
           scene: with sizes in voxels of the target's grid.
           targets: of `make_targets`, as the weights of the signals need them.
-          renders_at_once: how many are rendered side by side, see `map_renders`.
         """
 
         def compute_loss(candidate):
             seen = view._replace(rotation=candidate)
-            image = cls.render(scene, seen, signals=weights.renders)
-            how = {"weights": weights, "camera": view.camera}
-            return compare_images(image, targets, **how)[0]
+            image = cls.render(scene, seen, signals=how.weights.renders)
+            given = {"weights": how.weights, "camera": view.camera}
+            return compare_images(image, targets, **given)[0]
 
-        return map_renders(compute_loss, view.rotation, renders_at_once=renders_at_once)
+        at_once = how.renders_at_once
+        return map_renders(compute_loss, view.rotation, renders_at_once=at_once)
 
     @classmethod
     def rank(

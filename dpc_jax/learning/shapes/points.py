@@ -9,22 +9,19 @@ axis more, but for the shared one.
 import dataclasses
 import functools
 from collections.abc import Mapping
-from typing import Any, Self
 
 import chex
 import jax
 import jax.numpy as jnp
 
-from dpc_jax.config import Render, Train
 from dpc_jax.learning import losses
-from dpc_jax.learning.cameras import Cameras, place_camera
+from dpc_jax.learning.cameras import place_camera
 from dpc_jax.learning.choice import coarse_choice
 from dpc_jax.learning.losses import Term
-from dpc_jax.learning.recipe import Recipe
 from dpc_jax.learning.schedules import PULL_FROM
-from dpc_jax.learning.shapes.kind import Choice, Scene, Shape, View
+from dpc_jax.learning.shapes.kind import Shape
 from dpc_jax.learning.signals import downsample_images
-from dpc_jax.render import Projection, mass_of_peak, project, quaternion
+from dpc_jax.render import mass_of_peak, project, quaternion
 from dpc_jax.render.kernels import sample_gaussian
 
 REPELLED = 160  # points that repel each other in a step, for the time that pairs take
@@ -53,9 +50,7 @@ class Points(Shape):
     sigma: jax.Array
 
     @classmethod
-    def read(
-        cls, output: Mapping[str, Any], sigma: jax.Array, *, render: Render
-    ) -> Self:
+    def read(cls, output, sigma, *, render):
         """All points that a network predicts; learned sizes take sigma's place."""
         points, scale = output["points"], output["scale"]
         if "sizes" in output:
@@ -65,7 +60,7 @@ class Points(Shape):
             mass = compute_mass(scale, sigma, scale_unit=render.scale_unit)
         return cls(points, points, output.get("colors"), scale, mass, size)
 
-    def drop(self, keys: jax.Array, kept_points: int) -> Self:
+    def drop(self, keys, kept_points):
         """The clouds with some of their points, drawn with each one's key of [B].
 
         One subset of points serves all candidates of a view, so that the choice among
@@ -85,7 +80,7 @@ class Points(Shape):
             self, kept=kept, colors=colors, mass=mass, sigma=size
         )
 
-    def list_scenes(self, ratio: float = 1.0) -> tuple[dict[str, Any], dict[str, Any]]:
+    def list_scenes(self, ratio=1.0):
         colors = {} if self.colors is None else {"colors": self.colors}
         sigma, mass = scale_sizes(self.sigma, self.mass, ratio)
         scene = {"points": self.kept, "mass": mass} | colors
@@ -93,16 +88,16 @@ class Points(Shape):
             return scene | {"sigma": sigma}, {}
         return scene, {"sigma": sigma}
 
-    def find_places(self) -> tuple[jax.Array, jax.Array | None]:
+    def find_places(self):
         return self.kept, None
 
-    def find_scale(self) -> jax.Array:
+    def find_scale(self):
         return self.scale
 
-    def find_cloud(self) -> jax.Array:
+    def find_cloud(self):
         return self.points
 
-    def find_priors(self, step: jax.Array, *, train: Train) -> dict[str, Term]:
+    def find_priors(self, step, *, train):
         """Containment; repulsion, which comes in from the half on, of formed shapes."""
         terms = {}
         if train.containment_weight:
@@ -121,14 +116,7 @@ class Points(Shape):
             terms["repulsion"] = Term(energy, train.repulsion_weight * ramp)
         return terms
 
-    def find_pulls(
-        self,
-        views: Cameras,
-        batch: Mapping[str, jax.Array],
-        step: jax.Array,
-        *,
-        recipe: Recipe,
-    ) -> dict[str, Term]:
+    def find_pulls(self, views, batch, step, *, recipe):
         """The pull into silhouettes, once these are seen from the right poses.
 
         Its mean over all views has a gradient to the points alone.
@@ -161,34 +149,24 @@ class Points(Shape):
         return {"pull": Term(value, recipe.train.pull_weight * side**2)}
 
     @staticmethod
-    def find_evaluated(output: Mapping[str, Any], scene: Scene) -> dict[str, Any]:
+    def find_evaluated(output, scene):
         found = {name: output[name] for name in ("points", "colors") if name in output}
         return found | ({"sizes": scene["sigma"]} if "sigma" in scene else {})
 
     @staticmethod
-    def resize(scene: Scene, ratio: float) -> Scene:
-        sigma, mass = scale_sizes(scene["sigma"], scene["mass"], ratio)
-        return {**scene, "sigma": sigma, "mass": mass}
-
-    @staticmethod
-    def weigh_as_trained(scene: Scene, render: Render) -> Scene:
-        """A scene whose points have together the mass that training renders last.
+    def weigh_finest(scene, render):
+        """Points have together the mass that training renders last.
 
         Their masses were learned where dropout leaves a share of them out: with
         `render.keep_end` below 1, outlines of all of them would be wider than the
         images'.
         """
-        return {**scene, "mass": render.keep_end * scene["mass"]}
+        mass, ratio = render.keep_end * scene["mass"], render.finest / render.grid
+        sigma, mass = scale_sizes(scene["sigma"], mass, ratio)
+        return {**scene, "sigma": sigma, "mass": mass}
 
     @classmethod
-    def render(
-        cls,
-        scene: Scene,
-        view: View,
-        *,
-        signals: tuple[str, ...],
-        background_depth: jax.Array | float = 10.0,
-    ) -> Projection:
+    def render(cls, scene, view, *, signals, background_depth=10.0):
         size = jnp.asarray(scene["sigma"])
         is_covariance = size.ndim == 3
         return project(
@@ -206,9 +184,7 @@ class Points(Shape):
         )
 
     @classmethod
-    def rank(
-        cls, scene: Scene, view: View, target: jax.Array, how: Choice
-    ) -> jax.Array | None:
+    def rank(cls, scene, view, target, how):
         """By the optical depths of some points in the image, where all are alike."""
         points, mass, sigma = scene["points"], scene["mass"], scene["sigma"]
         if not how.points or jnp.ndim(mass) or jnp.ndim(sigma):

@@ -6,18 +6,12 @@ from masks. docs/baselines.md says what differs from their code.
 
 import dataclasses
 import functools
-from collections.abc import Mapping
-from typing import Any, Self
 
 import jax
 import jax.numpy as jnp
 import optax
 
-from dpc_jax.config import Render
-from dpc_jax.learning.cameras import Cameras
-from dpc_jax.learning.recipe import Recipe
-from dpc_jax.learning.schedules import Stage
-from dpc_jax.learning.shapes.kind import Scene, Shape, View
+from dpc_jax.learning.shapes.kind import Shape
 from dpc_jax.learning.signals import LOSSES, find_background, make_targets
 from dpc_jax.networks.view_maps import make_planes
 from dpc_jax.render import Projection
@@ -44,27 +38,18 @@ class ViewMaps(Shape):
     points: jax.Array
     logits: jax.Array
 
-    def find_scale(self) -> jax.Array:
+    def find_scale(self):
         """Share of visible points, recorded where points have their scale."""
         return jnp.mean(self.logits > 0, axis=1)
 
     @classmethod
-    def read(
-        cls, output: Mapping[str, Any], sigma: jax.Array, *, render: Render
-    ) -> Self:
+    def read(cls, output, sigma, *, render):
         return cls(output["maps"], output["points"], output["point_logits"])
 
-    def list_scenes(self, ratio: float = 1.0) -> tuple[dict[str, Any], dict[str, Any]]:
+    def list_scenes(self, ratio=1.0):
         return {"points": self.points, "point_logits": self.logits}, {}
 
-    def compare(
-        self,
-        views: Cameras,
-        batch: Mapping[str, jax.Array],
-        *,
-        recipe: Recipe,
-        stage: Stage,
-    ) -> tuple[jax.Array, dict[str, jax.Array], None]:
+    def compare(self, views, batch, *, recipe, stage):
         """Each map against its own fixed view; mean over objects and views.
 
         Cross entropy of the masks, absolute differences of u and v from the pixel's
@@ -98,21 +83,14 @@ class ViewMaps(Shape):
         return total, terms, None
 
     @staticmethod
-    def find_evaluated(output: Mapping[str, Any], scene: Scene) -> dict[str, Any]:
+    def find_evaluated(output, scene):
         """Visible points, spread evenly over all of them."""
         points, logits = output["points"], output["point_logits"]
         choose = functools.partial(choose_visible, count=min(SAMPLES, points.shape[1]))
         return {"points": jax.vmap(choose)(points, logits)}
 
     @classmethod
-    def render(
-        cls,
-        scene: Scene,
-        view: View,
-        *,
-        signals: tuple[str, ...],
-        background_depth: jax.Array | float = 10.0,
-    ) -> Projection:
+    def render(cls, scene, view, *, signals, background_depth=10.0):
         """Pixels of visible points are covered, as far away as the nearest of them."""
         camera, side = view.camera, view.side
         moved = to_camera_frame(scene["points"], view.rotation, view.translation)

@@ -4,16 +4,13 @@ A scene has cells [D, D, D], and where they are compared colors [D, D, D, 3].
 """
 
 import dataclasses
-from collections.abc import Mapping
-from typing import Any, Self
 
 import jax
 import jax.numpy as jnp
 
-from dpc_jax.config import Render
-from dpc_jax.learning.shapes.kind import Choice, Scene, Shape, View
-from dpc_jax.learning.signals import average_blocks
-from dpc_jax.render import Projection, project_volume
+from dpc_jax.learning.shapes.kind import Shape
+from dpc_jax.learning.signals import SILHOUETTES, average_blocks
+from dpc_jax.render import project_volume
 
 # Of the image in which candidates are first compared: a 64th of the work in 64³.
 COARSE_SIDE = 16
@@ -32,21 +29,19 @@ class Voxels(Shape):
     cells: jax.Array
     colors: jax.Array | None
 
-    def find_scale(self) -> jax.Array:
+    def find_scale(self):
         """Mean occupancy, which is recorded where points have their scale."""
         return jnp.mean(self.cells, axis=(1, 2, 3))
 
     @classmethod
-    def read(
-        cls, output: Mapping[str, Any], sigma: jax.Array, *, render: Render
-    ) -> Self:
+    def read(cls, output, sigma, *, render):
         return cls(output["cells"], output.get("colors"))
 
-    def list_scenes(self, ratio: float = 1.0) -> tuple[dict[str, Any], dict[str, Any]]:
+    def list_scenes(self, ratio=1.0):
         colors = {} if self.colors is None else {"colors": self.colors}
         return {"cells": self.cells} | colors, {}
 
-    def find_places(self) -> tuple[jax.Array, jax.Array | None]:
+    def find_places(self):
         sides = self.cells.shape[1:]
         axes = [(jnp.arange(side) + 0.5) / side - 0.5 for side in sides]
         centers = jnp.stack(jnp.meshgrid(*axes, indexing="ij"), axis=-1).reshape(-1, 3)
@@ -54,7 +49,7 @@ class Voxels(Shape):
         return jnp.broadcast_to(centers[None], (*weights.shape, 3)), weights
 
     @staticmethod
-    def find_evaluated(output: Mapping[str, Any], scene: Scene) -> dict[str, Any]:
+    def find_evaluated(output, scene):
         """Cells; their surface has points once `volumes.add_points` finds them."""
         return {
             "cells": output["cells"],
@@ -62,14 +57,7 @@ class Voxels(Shape):
         }
 
     @classmethod
-    def render(
-        cls,
-        scene: Scene,
-        view: View,
-        *,
-        signals: tuple[str, ...],
-        background_depth: jax.Array | float = 10.0,
-    ) -> Projection:
+    def render(cls, scene, view, *, signals, background_depth=10.0):
         return project_volume(
             scene["cells"],
             view.rotation,
@@ -80,9 +68,7 @@ class Voxels(Shape):
         )
 
     @classmethod
-    def rank(
-        cls, scene: Scene, view: View, target: jax.Array, how: Choice
-    ) -> jax.Array | None:
+    def rank(cls, scene, view, target, how):
         """Volumes stay as they are, and are seen in a coarser grid."""
         if not how.points or target.shape[0] < 2 * COARSE_SIDE:
             return None
@@ -90,5 +76,5 @@ class Voxels(Shape):
             scene,
             view._replace(side=COARSE_SIDE),
             {"silhouette": average_blocks(target, COARSE_SIDE)},
-            renders_at_once=how.renders_at_once,
+            how._replace(weights=SILHOUETTES),
         )

@@ -120,12 +120,22 @@ def _list_readers(data: DataSet) -> dict[str, Reader]:
 
 
 def _average(read_train, read_val, sets, most) -> np.ndarray:
+    """The cloud [N, 3] of the fullest cells, as many as suit the validation shapes.
+
+    At most `most`: the more points, the smaller a Chamfer distance.
+    """
     train, val = (len(sets[name].names) for name in ("train", "val"))
-    return find_mean_shape(
-        [spread_rows(read_train(i), _POINTS) for i in _spread(train, _SHAPES)],
-        [spread_rows(read_val(i), _POINTS) for i in _spread(val, _VALIDATED)],
-        most=most,
-    )
+    shapes = [spread_rows(read_train(i), _POINTS) for i in _spread(train, _SHAPES)]
+    shares, places = average_surfaces(shapes)
+    counts = {min(count, most) for count in COUNTS}
+    clouds = [take_fullest(shares, places, count) for count in sorted(counts)]
+    judges = [spread_rows(read_val(i), _POINTS) for i in _spread(val, _VALIDATED)]
+    truths = list(map(Surface, judges))
+
+    def measure(cloud):
+        return np.mean([truth.compare(cloud).chamfer for truth in truths])
+
+    return min(clouds, key=measure)
 
 
 def _spread(count: int, wanted: int) -> list[int]:
@@ -153,26 +163,6 @@ def find_nearest(read: Reader, coarse: np.ndarray, points: np.ndarray) -> int:
     truth = Surface(spread_rows(points, _FINE))
     shapes = (spread_rows(read(index), _FINE) for index in shortlist)
     return shortlist[np.argmin([truth.compare(shape).chamfer for shape in shapes])]
-
-
-def find_mean_shape(
-    train: Sequence[Any], val: Sequence[Any], *, most: int
-) -> np.ndarray:
-    """The cloud [N, 3] of the fullest cells, as many as suit the validation shapes.
-
-    Args:
-      train, val: [P, 3] points of the surface of each shape.
-      most: that N may be. The more points, the smaller a Chamfer distance.
-    """
-    shares, places = average_surfaces(train)
-    counts = {min(count, most) for count in COUNTS}
-    clouds = [take_fullest(shares, places, count) for count in sorted(counts)]
-    truths = [Surface(points) for points in val]
-
-    def measure(cloud):
-        return np.mean([truth.compare(cloud).chamfer for truth in truths])
-
-    return min(clouds, key=measure)
 
 
 def average_surfaces(
