@@ -32,14 +32,15 @@ def check_set(data: DataSet, lens: Lens) -> list[str]:
     for model, name in enumerate(data.names):
         for level, kind, views in _check_model(data, lens, model):
             places = [f"{name} view {view}" for view in np.flatnonzero(views)]
-            places = [name] if kind.startswith("have ") else places
             found.setdefault((level, kind), []).extend(places)
     for (level, kind), places in sorted(found.items()):
         what = f"{int(np.sum(data.counts))} views with {kind}"
-        if kind.startswith("have "):
-            what = f"{len(data.names)} objects {kind}"
         if places:
             findings.append(f"{level}: {len(places)} of {what}: {_name(places)}")
+    pairs = zip(data.names, data.counts, strict=True)
+    if single := [name for name, count in pairs if count < 2]:
+        what = f"{len(data.names)} objects have fewer than two views"
+        findings.append(f"warning: {len(single)} of {what}: {_name(single)}")
     findings += _check_hulls(data, lens)
     if lost := [name for name, _ in data.skipped]:
         what = f"{len(lost)} of {len(data.names) + len(lost)} objects left out"
@@ -54,10 +55,8 @@ def _name(places):
 
 
 def _check_model(data, lens, model):
-    """(level, fault, which views have it); what objects "have" is of the whole one."""
+    """(level, fault, which views have it) of all that can be wrong with a view."""
     masks, images = data.rows("masks", model), data.rows("images", model)
-    if len(masks) < 2:
-        yield "warning", "have fewer than two views", ()
     share = masks.mean(axis=(1, 2)) / 255.0
     small = (share > 0) & (share < SMALL)
     yield "error", "an empty mask", share == 0
