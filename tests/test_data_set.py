@@ -185,7 +185,6 @@ def test_a_damaged_cache_is_named_and_only_that_is_made_again(
     tmp_path, capsys, renders, harm
 ):
     whole = load(tmp_path, models=9)
-    expected = {name: np.array(getattr(whole, name)) for name in ARRAYS}
     (folder,) = tmp_path.iterdir()
     path = folder / "shard-00001.npz"
     content = bytearray(path.read_bytes())
@@ -199,14 +198,12 @@ def test_a_damaged_cache_is_named_and_only_that_is_made_again(
     elif harm == "swapped":
         path.write_bytes((folder / "shard-00000.npz").read_bytes())
     renders.reset_mock()
-    again = load(tmp_path, models=9)
+    assert_same(whole, load(tmp_path, models=9))
     text = capsys.readouterr().out
     assert "is damaged" in text
     # The views of one shard.
     assert renders.call_count == (0 if harm == "nonsense" else 4 * 2)
     assert harm == "nonsense" or "shard-00001.npz" in text
-    for name in ARRAYS:
-        np.testing.assert_array_equal(getattr(again, name), expected[name])
     assert len(list(tmp_path.iterdir())) == 1
     load(tmp_path, models=9)
     assert "is damaged" not in capsys.readouterr().out
