@@ -7,10 +7,10 @@ from dpc_jax.data import batches
 from dpc_jax.data.arrays import DataSet
 
 
-def choose(step, *, models=10, batch=4, seed=0, views=5, views_per_batch=3):
+def choose(step, *, models=10, batch=4, seed=0):
     return batches.choose_batch(
-        np.full(models, views), seed=seed, step=step, models_per_batch=batch,
-        views_per_batch=views_per_batch,
+        np.full(models, 5), seed=seed, step=step, models_per_batch=batch,
+        views_per_batch=3,
     )  # fmt: skip
 
 
