@@ -41,10 +41,10 @@ def draw_balls(rotation, position, lens, shape, balls=BALLS):
     return np.concatenate([color, alpha], -1).astype(np.uint8), depth
 
 
-def sample_balls(count=300, balls=BALLS):
-    """Points [3 * count, 3] on the balls."""
+def sample_balls(balls=BALLS):
+    """Points [900, 3] on the balls."""
     rng = np.random.default_rng(0)
-    unit = rng.normal(size=(len(balls), count, 3))
+    unit = rng.normal(size=(len(balls), 300, 3))
     unit /= np.linalg.norm(unit, axis=-1, keepdims=True)
     return (balls[:, None, :3] + balls[:, None, 3:] * unit).reshape(-1, 3)
 
@@ -79,27 +79,26 @@ def write_boxes(folder, count):
     return folder
 
 
-def write_renders(folder, models, *, views=3, size=112, truth=True):
+def write_renders(folder, models, *, truth=True):
     """Published renders of the balls, each model a little larger: DIR/renders, DIR/gt.
 
-    The world of the cameras is z up; the ground truth's axes are y up with the same x.
+    A model has three views of 112 pixels. The world of the cameras is z up; the ground
+    truth's axes are y up with the same x.
     """
     synset = "02958343"
     rng = np.random.default_rng(0)
-    lens = np.array(
-        [[1.875 * size, 0, size / 2], [0, 1.875 * size, size / 2], [0, 0, 1]]
-    )
+    lens = np.array([[210.0, 0, 56], [0, 210, 56], [0, 0, 1]])
     for number, model in enumerate(models):
         balls = BALLS * (0.9 + 0.1 * number / max(1, len(models) - 1))
         place = folder / "renders" / synset / model
         place.mkdir(parents=True)
-        for view in range(views):
+        for view in range(3):
             azimuth, elevation = rng.uniform(0, 2 * np.pi), rng.uniform(-0.3, 0.7)
             flat = 2 * np.cos(elevation)
             position = np.array([flat * np.cos(azimuth), flat * np.sin(azimuth),
                                  2 * np.sin(elevation)])  # fmt: skip
             rotation = look_at(position)
-            rgba, depth = draw_balls(rotation, position, lens, (size, size), balls)
+            rgba, depth = draw_balls(rotation, position, lens, (112, 112), balls)
             Image.fromarray(rgba).save(place / f"render_{view}.png")
             raw = np.minimum(depth, 10.0) * (65535 / 10)
             Image.fromarray(raw.astype(np.uint16)).save(place / f"depth_{view}.png")

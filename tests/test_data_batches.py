@@ -7,10 +7,10 @@ from dpc_jax.data import batches
 from dpc_jax.data.arrays import DataSet
 
 
-def choose(step, *, models=10, batch=4, seed=0, views=5, views_per_batch=3):
+def choose(step, *, models=10, batch=4, seed=0):
     return batches.choose_batch(
-        models, views, seed=seed, step=step, models_per_batch=batch,
-        views_per_batch=views_per_batch,
+        np.full(models, 5), seed=seed, step=step, models_per_batch=batch,
+        views_per_batch=3,
     )  # fmt: skip
 
 
@@ -62,7 +62,7 @@ def test_models_with_few_views_have_all_of_them_before_one_comes_again():
     seen = [set() for _ in counts]
     for step in range(200):
         models, views = batches.choose_batch(
-            6, counts, seed=1, step=step, models_per_batch=3, views_per_batch=4
+            counts, seed=1, step=step, models_per_batch=3, views_per_batch=4
         )
         assert views.shape == (3, 4)
         for model, chosen in zip(models, views, strict=True):

@@ -2,12 +2,12 @@
 
 import numpy as np
 import pytest
-from data_trees import save_disc, write_boxes, write_renders
+from data_trees import rotate, save_disc, write_boxes, write_renders
 from PIL import Image
 from scipy.spatial.transform import Rotation
 
 from dpc_jax import outputs
-from dpc_jax.data import DataSpec, __main__, load_or_render, viewpoints
+from dpc_jax.data import DataSpec, __main__, dataset, load_or_render, viewpoints
 from dpc_jax.data.look import checks, overview
 
 LENS = checks.Lens(focal_length=1.875, distance=2.0)
@@ -16,21 +16,19 @@ MODELS, VIEWS, SIZE = 5, 4, 48
 
 @pytest.fixture(scope="module")
 def cache(tmp_path_factory):
-    """Folder with one rendered set of chairs, which look different from all sides."""
+    """A rendered set of chairs, which look different from all sides."""
     folder = tmp_path_factory.mktemp("cache")
     spec = DataSpec(
         "chair", models=MODELS, views=VIEWS, image_size=SIZE, surface_points=5000
     )
     load_or_render(spec, cache_dir=folder, processes=1)
-    return folder
+    (path,) = folder.iterdir()
+    return path
 
 
 @pytest.fixture(scope="module")
 def whole(cache):
-    (path,) = cache.iterdir()
-    data = overview.dataset.read_cache(path)
-    names = ("images", "masks", "depths", "quaternions", "surfaces")
-    return data._replace(**{name: np.array(getattr(data, name)) for name in names})
+    return dataset.read_cache(cache)
 
 
 def damage(data, name, index, value):
@@ -45,15 +43,12 @@ def read_findings(data):
 
 def restate(data, change, *, last=False):
     """The set with every rotation matrix changed, and stored as xyzw if `last`."""
-    rotations = Rotation.from_quat(
-        np.asarray(data.quaternions, np.float64).reshape(-1, 4), scalar_first=True
-    ).as_matrix()
-    stored = Rotation.from_matrix(change(rotations)).as_quat(scalar_first=not last)
-    return data._replace(quaternions=stored.reshape(data.quaternions.shape))
+    changed = Rotation.from_matrix(change(rotate(data.quaternions)))
+    return data._replace(quaternions=changed.as_quat(scalar_first=not last))
 
 
 WRONG = {  # how other tools and data sets store a rotation
-    "inverse": lambda r: r.transpose(0, 2, 1),
+    "inverse": lambda r: r.swapaxes(-1, -2),
     "OpenGL": lambda r: np.diag([1, -1, -1]) @ r,
 }
 
@@ -130,8 +125,7 @@ def run(*arguments):
 
 def test_a_set_is_listed_and_drawn(cache, tmp_path, capsys, monkeypatch):
     monkeypatch.chdir(tmp_path)
-    (path,) = cache.iterdir()
-    assert run("show", path, "--out", "sheet.png", "--models", 3) == 0
+    assert run("show", cache, "--out", "sheet.png", "--models", 3) == 0
     out = capsys.readouterr().out
     assert "5 chair models, train split, 20 views of 48 x 48" in out
     assert "views per model: 4" in out and "sheet.png" in out
@@ -142,7 +136,7 @@ def test_a_set_is_listed_and_drawn(cache, tmp_path, capsys, monkeypatch):
     for color in overview.AXES:
         assert (pixels == color).all(axis=1).sum() > 100
     assert sorted(p.name for p in tmp_path.iterdir()) == [outputs.LIST, "sheet.png"]
-    assert run("check", path) == 0
+    assert run("check", cache) == 0
     assert "no fault found; poses fit" in capsys.readouterr().out
 
 

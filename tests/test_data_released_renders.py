@@ -1,7 +1,6 @@
 """The published renders, read from a small tree of the same form."""
 
 import numpy as np
-import pytest
 from data_trees import BALLS, sample_balls, share_inside, write_renders
 from PIL import Image
 from scipy.io import loadmat, savemat
@@ -45,19 +44,6 @@ def test_training_models_have_no_ground_truth_and_need_none(tmp_path):
     folder = write_renders(tmp_path, NAMES, truth=False)
     data = load(folder, tmp_path / "cache", fractions=(1, 0, 0))
     assert data.surfaces is None and len(data.names) == 5
-
-
-def test_the_split_beside_the_renders_is_read(tmp_path):
-    folder = write_renders(tmp_path, NAMES)
-    (tmp_path / "splits").mkdir()
-    for split, names in (("train", NAMES[:2]), ("val", NAMES[2:3]), ("test", "gone")):
-        lines = [names] if isinstance(names, str) else names
-        path = tmp_path / "splits" / f"02958343_{split}.txt"
-        path.write_text("\n".join(lines) + "\n")
-    assert load(folder, tmp_path / "cache").names == tuple(NAMES[:2])
-    assert load(folder, tmp_path / "cache", split="val").names == (NAMES[2],)
-    with pytest.raises(ValueError, match="test split of .* none among its 5"):
-        load(folder, tmp_path / "cache", split="test")
 
 
 def cut(path):

@@ -115,14 +115,18 @@ def test_the_official_split_is_read_and_what_it_misses_is_counted(tmp_path):
     assert load(tmp_path, tmp_path / "cache").names == data.names
 
 
-def test_both_forms_of_a_split_say_the_same(tmp_path):
+def test_both_forms_of_a_split_say_the_same_beside_the_set_too(tmp_path):
     sides = {"train": NAMES[:4], "val": NAMES[4:5], "test": NAMES[5:]}
+    place = tmp_path / "splits"
+    place.mkdir()
     for split, names in sides.items():
-        (tmp_path / f"{SYNSET}_{split}.txt").write_text("\n".join(names))
+        (place / f"{SYNSET}_{split}.txt").write_text("\n".join(names))
+    found = splits.find_split(tmp_path / "set", SYNSET)
+    assert splits.read_split(found, SYNSET) == sides
     rows = [[0, SYNSET, SYNSET, n, s] for s, names in sides.items() for n in names]
-    write_csv(tmp_path / "all.csv", rows)
-    for name in ("all.csv", f"{SYNSET}_val.txt"):
-        assert splits.read_split(tmp_path / name, SYNSET) == sides
+    write_csv(place / "all.csv", rows)
+    found = splits.find_split(tmp_path / "set", SYNSET)
+    assert found.name == "all.csv" and splits.read_split(found, SYNSET) == sides
 
 
 @pytest.mark.parametrize(

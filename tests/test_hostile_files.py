@@ -89,7 +89,6 @@ GREY, PLAIN = "[170 170 170] lacks ", "[255   0   0] lacks t.png"
 @tries(GREY, make=_fill)
 @tries(GREY, materials="../../a.mtl", make=_write_red)
 @tries("[255   0   0] whole", materials="../a.mtl", make=_write_red)
-@tries(GREY, materials="/etc/passwd")
 def look_at_a_mesh(folder, *, materials="a.mtl", texture=None, make=None):
     """Colour of a mesh, and what it lacks. `make` puts what hurts in a path's place."""
     place = folder / "above" / "here" / "a.obj"

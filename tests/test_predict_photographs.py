@@ -24,10 +24,10 @@ from dpc_jax.shapes.procedural import make_shape
 SPEC = DataSpec("car", kind="images", folder=".", image_size=16, crop="object")
 
 
-def draw_disc(*, side=40, center=(20, 17), radius=9, alpha=True):
-    rows, cols = np.mgrid[:side, :side]
-    mask = (rows - center[0]) ** 2 + (cols - center[1]) ** 2 < radius**2
-    image = np.full((side, side, 3), (230, 225, 215), np.uint8)
+def draw_disc(*, radius=9, alpha=True):
+    rows, cols = np.mgrid[:40, :40]
+    mask = (rows - 20) ** 2 + (cols - 17) ** 2 < radius**2
+    image = np.full((40, 40, 3), (230, 225, 215), np.uint8)
     image[mask] = (60, 90, 160)
     if not alpha:
         return Image.fromarray(image)

@@ -13,8 +13,7 @@ _MODELS, _VIEWS = 0, 1  # so that the two never share a random stream
 
 
 def choose_batch(
-    num_models: int,
-    num_views: npt.ArrayLike,
+    counts: np.ndarray,
     *,
     seed: int,
     step: int,
@@ -23,13 +22,13 @@ def choose_batch(
 ) -> tuple[np.ndarray, np.ndarray]:
     """Which models [B] and which of their views [B, V] make the batch of a step.
 
+    `counts` [M] is the number of views of each model.
+
     Models come from an endless sequence of seeded permutations: each once per epoch,
     none twice in a batch that straddles two. Views are drawn without replacement; if a
     model has fewer than the batch asks for, all of them come before any comes again.
-    `num_views` is one number, or [num_models] where models differ.
     """
-    counts = np.broadcast_to(np.asarray(num_views), num_models)
-    most = int(counts.max())
+    num_models, most = len(counts), int(counts.max())
     epoch, place = divmod(step * models_per_batch, num_models)
     stop = place + models_per_batch
     models = _epoch_order(num_models, models_per_batch, seed, epoch)[place:stop]

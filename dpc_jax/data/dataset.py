@@ -20,7 +20,6 @@ from dpc_jax.outputs import show_text, telling_tenths
 
 SHOWN = 20  # skipped models that are printed
 VERSION = 4  # raise it when rendering, the procedural shapes or the shards change
-PLACES = ("folder",)  # fields that do not affect the bytes
 RECORD = "spec.json"  # the file that finishes a cache
 
 
@@ -72,7 +71,8 @@ def _locate(spec, cache_dir):
     """Source, models, what determines their bytes as JSON, and their cache folder."""
     source = open_source(spec)
     models = source.list_models()
-    record = {name: v for name, v in vars(spec).items() if name not in PLACES}
+    # where the files lie does not affect the bytes
+    record = {name: v for name, v in vars(spec).items() if name != "folder"}
     record |= {"elevation": ELEVATIONS, "supersample": SUPERSAMPLE}
     record |= {"extent": 1.0, "version": VERSION}  # of the image plane
     record["sources"] = [[m.name, m.seed, m.copy, m.digest] for m in models]

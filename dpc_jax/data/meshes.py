@@ -20,7 +20,6 @@ from dpc_jax.shapes.normalization import join_pieces
 
 SUFFIXES = (".obj", ".ply", ".stl", ".off", ".glb", ".gltf")
 MOST_BYTES = 1 << 29  # of a file: a mesh of some millions of faces
-MOST_PIXELS = 1 << 26  # of a texture: 8192 x 8192
 _PICTURES = (*pictures.SUFFIXES, ".tga")
 PLAIN = np.array([170, 170, 170, 255], dtype=np.uint8)  # where a file has no colour
 
@@ -171,7 +170,7 @@ def _face_colors(part):
         material = visual.material
         texture = getattr(material, "baseColorTexture", None)
         texture = getattr(material, "image", None) if texture is None else texture
-        is_small = texture is not None and np.prod(texture.size) <= MOST_PIXELS
+        is_small = texture is not None and np.prod(texture.size) <= pictures.MOST_PIXELS
         if is_small and visual.uv is not None:
             middle = np.asarray(visual.uv)[part.faces].mean(axis=1)
             # A cut picture shows only when its pixels are asked for; Pillow raises

@@ -13,6 +13,7 @@ from dpc_jax.data import viewpoints, views
 from dpc_jax.data.arrays import VISIBLE_STEPS
 from dpc_jax.data.spec import DataSpec
 from dpc_jax.data.splits import FINAL, SPLITS
+from dpc_jax.evaluation.chamfer import find_rows
 
 CAMERA = ("image_size", "focal_length", "distance")
 # On the viewing sphere. With 256 a chair or an airplane has 0.3 % more of its surface
@@ -98,8 +99,8 @@ def sample_visible(
         is_near[is_near] = _find_visible(points[is_near], scene, distance=spec.distance)
         points = points[is_near] if is_near.any() else few[is_seen]
     # About as many as asked for, or repeated. They lie in the order of the faces.
-    rows = np.linspace(0, len(points) - 1, spec.visible_points).round().astype(int)
-    return np.round((points[rows] + 0.5) * VISIBLE_STEPS).astype(np.uint16)
+    points = points[find_rows(len(points), spec.visible_points)]
+    return np.round((points + 0.5) * VISIBLE_STEPS).astype(np.uint16)
 
 
 def _thin_points(points, *, voxel):

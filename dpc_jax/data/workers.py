@@ -1,8 +1,8 @@
 """Preparing the shards of a data set, by any number of processes.
 
 Nobody hands out work: every process goes through the shards that are missing and makes
-those that it can claim. So processes that know nothing of each
-other share a set in the same way as the workers of one command.
+those that it can claim. So processes that know nothing of each other share a set in the
+same way as the workers of one command.
 
 Workers are plain Python processes, which read on their input what to make: forks would
 meet the threads of jax, and `multiprocessing` would import the caller's script again.

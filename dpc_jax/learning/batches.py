@@ -14,7 +14,6 @@ def make_batch(dataset: DataSet, step: int, config: Config) -> dict[str, Any]:
     """The batch of a step, of which each process has read its own objects."""
     counts = dataset.counts
     models, views = choose_batch(
-        len(counts),
         counts,
         seed=config.seed,
         step=step,

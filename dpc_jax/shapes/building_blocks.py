@@ -130,25 +130,6 @@ def panel(corners: npt.ArrayLike, *, color: Color) -> Part:
     return Part(corners, faces, color)
 
 
-def inset(
-    corners: npt.ArrayLike, *, sides: float, bottom: float, top: float, lift: float
-) -> np.ndarray:
-    """Quad inside a quad [4, 3] (bottom left, bottom right, top right, top left).
-
-    The margins are shares of the quad's sides; `lift` moves along its normal.
-    """
-    a, b, c, d = np.asarray(corners, dtype=np.float64)
-
-    def place(s, t):
-        return (1 - t) * ((1 - s) * a + s * b) + t * ((1 - s) * d + s * c)
-
-    normal = np.cross(c - a, d - b)
-    normal /= np.linalg.norm(normal)
-    low, high, near, far = bottom, 1 - top, sides, 1 - sides
-    quad = [place(near, low), place(far, low), place(far, high), place(near, high)]
-    return np.array(quad) + lift * normal
-
-
 def mirror(parts: Sequence[Part]) -> list[Part]:
     """The parts and their mirror images at the xz plane (left and right)."""
     images = [Part(v * [1.0, -1.0, 1.0], f[:, ::-1], color) for v, f, color in parts]

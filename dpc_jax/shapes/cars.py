@@ -163,13 +163,29 @@ def _make_cabin(plan):
 
     front = np.array([rings[0, 3], rings[0, 0], rings[1, 1], rings[1, 2]])[[1, 0, 3, 2]]
     back = np.array([rings[4, 3], rings[4, 0], rings[3, 1], rings[3, 2]])
-    front = parts.inset(front, sides=0.05, bottom=0.08, top=0.06, lift=-0.012)
-    back = parts.inset(back, sides=0.07, bottom=0.2, top=0.1, lift=-0.012)
-    glass = [parts.panel(corners, color=parts.GLASS) for corners in (front, back)]
+    glass = [_make_pane(front, 0.05, 0.08, 0.94), _make_pane(back, 0.07, 0.2, 0.9)]
     for window in _side_windows(plan, base, xs, tops):
         corners = [(x, half_at(z) + 0.012, z) for x, z in window]
         glass += parts.mirror([parts.panel(corners, color=parts.GLASS)])
     return [cabin, *glass]
+
+
+def _make_pane(corners, near, low, high):
+    """Glass in a quad [4, 3] (bottom left, bottom right, top right, top left).
+
+    From a share of its width to as far from the other side, and between two shares of
+    its height; just outside of it.
+    """
+    a, b, c, d = corners
+
+    def place(s, t):
+        return (1 - t) * ((1 - s) * a + s * b) + t * ((1 - s) * d + s * c)
+
+    normal = np.cross(c - a, d - b)
+    normal /= np.linalg.norm(normal)
+    far = 1 - near
+    quad = [place(near, low), place(far, low), place(far, high), place(near, high)]
+    return parts.panel(np.array(quad) - 0.012 * normal, color=parts.GLASS)
 
 
 def _side_windows(plan, base, xs, tops):

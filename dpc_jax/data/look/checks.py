@@ -9,6 +9,7 @@ import numpy as np
 from scipy import ndimage
 
 from dpc_jax.data.arrays import DataSet
+from dpc_jax.evaluation.chamfer import find_rows
 from dpc_jax.evaluation.rotations import to_rotation
 
 SMALL, FULL = 0.005, 0.98  # shares of the image that useful masks lie between
@@ -32,14 +33,15 @@ def check_set(data: DataSet, lens: Lens) -> list[str]:
     for model, name in enumerate(data.names):
         for level, kind, views in _check_model(data, lens, model):
             places = [f"{name} view {view}" for view in np.flatnonzero(views)]
-            places = [name] if kind.startswith("have ") else places
             found.setdefault((level, kind), []).extend(places)
     for (level, kind), places in sorted(found.items()):
         what = f"{int(np.sum(data.counts))} views with {kind}"
-        if kind.startswith("have "):
-            what = f"{len(data.names)} objects {kind}"
         if places:
             findings.append(f"{level}: {len(places)} of {what}: {_name(places)}")
+    pairs = zip(data.names, data.counts, strict=True)
+    if single := [name for name, count in pairs if count < 2]:
+        what = f"{len(data.names)} objects have fewer than two views"
+        findings.append(f"warning: {len(single)} of {what}: {_name(single)}")
     findings += _check_hulls(data, lens)
     if lost := [name for name, _ in data.skipped]:
         what = f"{len(lost)} of {len(data.names) + len(lost)} objects left out"
@@ -54,10 +56,8 @@ def _name(places):
 
 
 def _check_model(data, lens, model):
-    """(level, fault, which views have it); what objects "have" is of the whole one."""
+    """(level, fault, which views have it) of all that can be wrong with a view."""
     masks, images = data.rows("masks", model), data.rows("images", model)
-    if len(masks) < 2:
-        yield "warning", "have fewer than two views", ()
     share = masks.mean(axis=(1, 2)) / 255.0
     small = (share > 0) & (share < SMALL)
     yield "error", "an empty mask", share == 0
@@ -85,12 +85,11 @@ def _check_hulls(data, lens):
     """
     usable = list_carvable(data)
     count = min(len(usable), max(1, TRIED_VIEWS // int(np.max(data.counts))))
-    places = np.linspace(0, len(usable) - 1, count).round().astype(int)
-    filled = {usable[n]: _fill_masks(data, usable[n], lens) for n in places}
+    tried = [usable[row] for row in find_rows(len(usable), count)]
     strays = [
         f"{data.names[model]} ({share:.0%} of the masks agree)"
-        for model, share in filled.items()
-        if share < FILLED
+        for model in tried
+        if (share := _fill_masks(data, model, lens)) < FILLED
     ]
     if not strays:
         return []
@@ -143,20 +142,15 @@ def _carve_block(rotations, masks, lens):
     image, because own images are not centred better than that.
     """
     side = masks.shape[-1]
-    masks = _grow(masks, max(1, side // 30))
+    width = 2 * max(1, side // 30) + 1
+    grown = ndimage.maximum_filter(masks, (1, width, width), mode="constant")
+    masks = np.asarray(grown)
     axis = np.linspace(-HULL_REACH, HULL_REACH, HULL_CELLS)
     points = np.stack(np.meshgrid(axis, axis, axis, indexing="ij"), -1).reshape(-1, 3)
     for rotation, mask in zip(rotations, masks, strict=True):
         rows, columns, inside = _find_cells(points, rotation[None], side, lens)
         points = points[inside[0] & mask[rows[0], columns[0]]]
     return points
-
-
-def _grow(masks, cells) -> np.ndarray:
-    """Boolean masks [V, S, S], grown by a number of cells in all eight directions."""
-    width = 2 * cells + 1
-    grown = ndimage.maximum_filter(masks, (1, width, width), mode="constant")
-    return np.asarray(grown)
 
 
 def project_points(points: np.ndarray, rotations: np.ndarray, lens: Lens) -> np.ndarray:

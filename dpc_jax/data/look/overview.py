@@ -16,6 +16,7 @@ from dpc_jax.data.look.checks import Lens, project_points
 from dpc_jax.data.sets import released_renders, shapenet
 from dpc_jax.data.sets.pictures import SUFFIXES
 from dpc_jax.data.spec import DataSpec
+from dpc_jax.evaluation.chamfer import find_rows
 from dpc_jax.evaluation.rotations import to_rotation
 
 TILE = 128  # pixels of a picture on the sheet
@@ -128,8 +129,8 @@ def draw_set(opened: OpenSet, models: int) -> tuple[Image.Image, list[str]]:
     Each has a row: images, masks and depths of some of its views. On the images are the
     object's axes: red the front, green the left, blue the top.
     """
-    counts, last = opened.data.counts, len(opened.data.names) - 1
-    chosen = np.linspace(0, last, min(models, last + 1)).round().astype(int).tolist()
+    counts, total = opened.data.counts, len(opened.data.names)
+    chosen = find_rows(total, min(models, total)).tolist()
     most = min(VIEWS, int(counts.max()))
     rows = []
     for model in chosen:

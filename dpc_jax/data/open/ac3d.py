@@ -174,7 +174,7 @@ class _Reader:
             path = find_beside(self._path, name)
             if path is None and self._textures is not None:
                 wanted = name.replace("\\", "/").rsplit("/", 1)[-1]
-                found = sorted(Path(self._textures).rglob("*"), key=str)
+                found = sorted(self._textures.rglob("*"), key=str)
                 path = next((p for p in found if p.name == wanted), None)
             if path is not None:
                 # Of a damaged one the material alone colours the surface.

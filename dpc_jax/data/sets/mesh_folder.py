@@ -85,7 +85,7 @@ class MeshFolder(MeshSource):
     @functools.cached_property
     def digests(self) -> dict[Path, str]:
         """Digest of each file of the folder."""
-        return {path: _digest(path) for path in meshes.find_meshes(self.folder)}
+        return {path: _digest(path) for path in self.models.values()}
 
     def identify_model(self, name: str, path: Path) -> tuple[int, str]:
         return self.spec.views, self.digests[path]

@@ -96,7 +96,7 @@ def read_frames(path: Path, most: int) -> list[Image.Image]:
         return [
             shrink(ImageOps.exif_transpose(frame))
             for number, frame in enumerate(ImageSequence.Iterator(image))
-            if number in chosen and number < count
+            if number in chosen
         ]
 
 

@@ -95,9 +95,7 @@ def count_views(place: Path) -> int:
 
 
 def _list_renders(place):
-    """Numbers of the renders of a model, ascending; empty if there is no folder."""
-    if not place.is_dir():
-        return []
+    """Numbers of the renders of a model, ascending."""
     found = (re.fullmatch(r"render_(\d+)\.png", name) for name in os.listdir(place))
     return sorted(int(match[1]) for match in found if match)
 
