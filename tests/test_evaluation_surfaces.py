@@ -4,11 +4,7 @@ import numpy as np
 import pytest
 import trimesh
 
-from dpc_jax.evaluation.surfaces import (
-    extract_surface,
-    sample_surface,
-    tune_threshold,
-)
+from dpc_jax.evaluation.surfaces import extract_surface, sample_surface, tune_threshold
 
 
 def fill_box(low, high, side=16):

@@ -11,12 +11,7 @@ from matplotlib.figure import Figure
 from matplotlib.ticker import MaxNLocator
 
 from dpc_jax.evaluation.metrics import get_metric
-from dpc_jax.evaluation.pose import (
-    ACCURACY_THRESHOLD_DEG,
-    KINDS,
-    Failures,
-    count_alive,
-)
+from dpc_jax.evaluation.pose import ACCURACY_THRESHOLD_DEG, KINDS, Failures, count_alive
 from dpc_jax.reporting import style
 
 # Metrics drawn over run time.
