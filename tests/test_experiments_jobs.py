@@ -44,9 +44,9 @@ def read_starts(folder, name):
     return (folder / name / "starts").read_text().split()
 
 
-def wait_for(path, seconds=30):
+def wait_for(path):
     """Wait until a file is there."""
-    limit = time.monotonic() + seconds
+    limit = time.monotonic() + 30
     while not path.exists():
         assert time.monotonic() < limit, f"{path} never came"
         time.sleep(0.05)

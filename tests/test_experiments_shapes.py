@@ -24,9 +24,9 @@ from dpc_jax.run.workdir import write_alignment
 TURN = Rotation.from_euler("z", 30, degrees=True)
 
 
-def make_config(folder, category="chair", **data):
+def make_config(folder, **data):
     """A tiny config of procedural shapes; 6 of its validation chairs are complete."""
-    config = dataclasses.replace(tiny_config(), category=category)
+    config = dataclasses.replace(tiny_config(), category="chair")
     sizes = dict(val_models=8, test_models=4, views=1, surface_points=200)
     changed = sizes | {"cache_dir": str(folder / "data")} | data
     return dataclasses.replace(config, data=dataclasses.replace(config.data, **changed))
