@@ -4,7 +4,6 @@ import re
 import shlex
 from collections.abc import Iterator
 from pathlib import Path
-from typing import NamedTuple
 
 ROOT = Path(__file__).parents[1]
 LOG = ROOT / "docs" / "log.md"  # tells of what is gone, too
@@ -18,21 +17,13 @@ _FENCE = re.compile(
 )
 
 
-class Block(NamedTuple):
-    """A fenced block of a page."""
-
-    page: Path
-    language: str  # "" where none is given
-    text: str
-
-
-def list_blocks(*languages: str) -> Iterator[Block]:
-    """The blocks of all pages in these languages; of any where none is named."""
+def list_blocks(language: str) -> Iterator[tuple[Path, str]]:
+    """(page, text) of each fenced block in a language."""
     for page in PAGES:
         for match in _FENCE.finditer(page.read_text(encoding="utf-8")):
-            if not languages or match["language"] in languages:
+            if match["language"] == language:
                 indent = re.compile(f"^{match['indent']}", flags=re.M)
-                yield Block(page, match["language"], indent.sub("", match["text"]))
+                yield page, indent.sub("", match["text"])
 
 
 def list_spans(page: Path) -> list[str]:
@@ -44,9 +35,9 @@ def list_spans(page: Path) -> list[str]:
 def list_commands() -> list[tuple[str, list[str]]]:
     """(page, words) of each command; of each choice, as in quick|full, one."""
     commands = [
-        (block.page.name, line)
-        for block in list_blocks("sh")
-        for line in block.text.replace("\\\n", " ").splitlines()
+        (page.name, line)
+        for page, text in list_blocks("sh")
+        for line in text.replace("\\\n", " ").splitlines()
     ]
     begins = ("python -m dpc_jax.", "dpc_jax ", "launch/", "tests/", "--config")
     commands += [

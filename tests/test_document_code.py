@@ -16,7 +16,7 @@ from dpc_jax.commands import load_module
 
 COMMANDS = list_commands()
 NAMES = [f"{page} {' '.join(words)}" for page, words in COMMANDS]
-WITH_PYTHON = sorted({block.page for block in list_blocks("python")})
+WITH_PYTHON = sorted({page for page, _ in list_blocks("python")})
 # Of other programs: whoever writes one here has tried it.
 OTHERS = {".", "dpc_jax", "jupyter", "pip", "pre-commit", "python3", "tensorboard"}
 # Numbers that would take a minute, and those that the test takes in their place.
@@ -93,9 +93,8 @@ def test_the_python_of_a_page_runs(page, tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     plt.switch_backend("Agg")
     names: dict = {}
-    for block in list_blocks("python"):
-        if block.page == page:
-            text = block.text
+    for place, text in list_blocks("python"):
+        if place == page:
             for number, smaller in SMALLER.items():
                 text = text.replace(number, smaller)
             exec(compile(text, page.name, "exec"), names)

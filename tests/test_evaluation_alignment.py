@@ -39,11 +39,11 @@ def wedge(rng, n):
     return np.where(kind == 0, box, np.where(kind == 1, cabin, fin))
 
 
-def scene(frame, *, flips=0.0, noise_deg=0.0, models=8, views=5, seed=0):
+def scene(frame, *, flips=0.0, noise_deg=0.0, models=8):
     """What a network would predict whose frame is turned: object point = frame p."""
-    rng = np.random.default_rng(seed)
+    rng, views = np.random.default_rng(0), 5
     count = models * views
-    truth = Rotation.random(count, random_state=seed + 1)
+    truth = Rotation.random(count, random_state=1)
     flipped = np.zeros(count)
     flipped[: round(flips * count)] = np.pi
     flip = Rotation.from_rotvec(rng.permutation(flipped)[:, None] * [0.0, 0.0, 1.0])
@@ -167,5 +167,3 @@ def test_arguments_that_do_not_fit_together_are_refused_in_a_sentence():
         align(predicted[:0], truth[:0], points[:0], surfaces[:0])
     with pytest.raises(ValueError, match="finite coordinates in points"):
         align(predicted, truth, points * np.nan, surfaces)
-    with pytest.raises(ValueError, match="10 of 10"):
-        align(0 * predicted, truth, points, surfaces)

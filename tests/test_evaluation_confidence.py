@@ -10,15 +10,13 @@ HALF_TURN = np.array([0.0, 0, 0, 1])
 NEAR = np.array([np.cos(np.radians(5)), 0, 0, np.sin(np.radians(5))])  # 10 degrees
 
 
-def square(low, high, side=16):
-    image = np.zeros((side, side))
+def square(low, high):
+    image = np.zeros((16, 16))
     image[low:high, low:high] = 1
     return image
 
 
-def judge(candidates, probabilities, silhouette=None, mask=None):
-    silhouette = square(4, 12) if silhouette is None else silhouette
-    mask = square(4, 12) if mask is None else mask
+def judge(candidates, probabilities, silhouette=square(4, 12), mask=square(4, 12)):
     return measure_confidence(
         POSE, np.stack(candidates), probabilities, silhouette, mask
     )

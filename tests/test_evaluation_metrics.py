@@ -3,11 +3,7 @@
 import numpy as np
 import pytest
 
-from dpc_jax.evaluation.metrics import (
-    describe_metrics,
-    format_metric,
-    order_metrics,
-)
+from dpc_jax.evaluation.metrics import describe_metrics, format_metric, order_metrics
 
 VALUES = {
     "chamfer": 3.314,

@@ -92,9 +92,9 @@ def look(azimuth, elevation):
     return matrix_to_quaternion(look_at_rotation(*np.deg2rad([azimuth, elevation])))
 
 
-def shake(quaternions, degrees, seed=0):
+def shake(quaternions, degrees):
     """Rotations near these, by that angle about random axes."""
-    axes = np.random.default_rng(seed).normal(size=(len(quaternions), 3))
+    axes = np.random.default_rng(0).normal(size=(len(quaternions), 3))
     axes *= np.deg2rad(degrees) / np.linalg.norm(axes, axis=1, keepdims=True)
     return wxyz(Rotation.from_rotvec(axes) * rotations.to_rotation(quaternions))
 

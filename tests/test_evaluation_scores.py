@@ -12,27 +12,23 @@ FRAME = Rotation.random(random_state=4)
 ALIGNMENT = identity_alignment()._replace(rotation=FRAME.as_quat(scalar_first=True))
 
 
-def scene(models=3, views=4, errors_deg=(0.0, 10.0, 100.0, 180.0)):
-    """Poses that are wrong by known angles, and noisy shapes, in a turned frame."""
-    rng = np.random.default_rng(0)
-    shape = (models, views)
-    truth = Rotation.random(models * views, random_state=1)
-    axis = rng.normal(size=(models * views, 3))
-    axis /= np.linalg.norm(axis, axis=1, keepdims=True)
-    angle = np.radians(np.resize(errors_deg, models * views))[:, None]
-    predicted = Rotation.from_rotvec(angle * axis) * truth * FRAME
-    surfaces = rng.uniform(-0.5, 0.5, (models, 200, 3))
-    objects = surfaces[:, None, :80] + 0.02 * rng.normal(size=(*shape, 80, 3))
-    points = FRAME.inv().apply(objects.reshape(-1, 3)).reshape(objects.shape)
-    to_array = [
-        r.as_quat(scalar_first=True).reshape(*shape, 4) for r in (predicted, truth)
-    ]
-    return *to_array, points, surfaces, objects
+ERRORS_DEG = (0.0, 10.0, 100.0, 180.0)  # of the views of each object
 
 
 @pytest.fixture(scope="module")
 def given():
-    return scene()
+    """Poses that are wrong by these angles, and noisy shapes, in a turned frame."""
+    rng = np.random.default_rng(0)
+    truth = Rotation.random(12, random_state=1)
+    axis = rng.normal(size=(12, 3))
+    axis /= np.linalg.norm(axis, axis=1, keepdims=True)
+    angle = np.radians(np.tile(ERRORS_DEG, 3))[:, None]
+    predicted = Rotation.from_rotvec(angle * axis) * truth * FRAME
+    surfaces = rng.uniform(-0.5, 0.5, (3, 200, 3))
+    objects = surfaces[:, None, :80] + 0.02 * rng.normal(size=(3, 4, 80, 3))
+    points = FRAME.inv().apply(objects.reshape(-1, 3)).reshape(objects.shape)
+    poses = [r.as_quat(scalar_first=True).reshape(3, 4, 4) for r in (predicted, truth)]
+    return *poses, points, surfaces, objects
 
 
 def judge(given, **changes):
@@ -65,9 +61,9 @@ def pick(metrics, prefix=""):
 
 def test_poses_and_shapes_are_scored_in_the_object_frame(given):
     got = judge(given)
-    expected = np.tile([0.0, 10.0, 100.0, 180.0], (3, 1))
+    expected = np.tile(ERRORS_DEG, (3, 1))
     # Angles through several float64 products; 2 atan2 keeps 1e-13 degrees per rounding.
-    np.testing.assert_allclose(got.pose_errors_deg, expected, atol=1e-9)
+    np.testing.assert_allclose(got.failures.errors_deg, expected, atol=1e-9)
     assert {type(value) for value in got.metrics.values()} == {float}
     assert not any(name.startswith("best") for name in got.metrics)
     assert got.metrics["pose_accuracy"] == 0.5
@@ -97,7 +93,7 @@ def test_fewer_views_may_be_compared_and_surfaces_may_differ_in_size(given):
 
 def test_given_poses_are_not_scored_but_the_shapes_are(given):
     whole, found = judge(given), judge(given, predicted=None)
-    assert found.metrics == pick(whole.metrics) and found.pose_errors_deg is None
+    assert found.metrics == pick(whole.metrics) and found.failures is None
 
 
 def test_what_can_be_seen_of_a_surface_is_scored_apart(given):

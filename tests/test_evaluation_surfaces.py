@@ -4,23 +4,19 @@ import numpy as np
 import pytest
 import trimesh
 
-from dpc_jax.evaluation.surfaces import (
-    extract_surface,
-    sample_surface,
-    tune_threshold,
-)
+from dpc_jax.evaluation.surfaces import extract_surface, sample_surface, tune_threshold
 
 
-def fill_box(low, high, side=16):
+def fill_box(low, high):
     """A volume of a box between cell borders, 1 inside."""
-    cells = np.zeros((side,) * 3, np.float32)
+    cells = np.zeros((16, 16, 16), np.float32)
     cells[tuple(slice(a, b) for a, b in zip(low, high, strict=True))] = 1
     return cells
 
 
-def blur_ball(radius, side=24, width=0.05):
+def blur_ball(radius, width):
     """Occupancies that fall from 1 to 0 over a width around a ball's surface."""
-    centers = (np.arange(side) + 0.5) / side - 0.5
+    centers = (np.arange(24) + 0.5) / 24 - 0.5
     away = np.linalg.norm(np.stack(np.meshgrid(*[centers] * 3), -1), axis=-1)
     return np.clip(0.5 + (radius - away) / width, 0, 1).astype(np.float32)
 

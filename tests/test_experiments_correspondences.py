@@ -8,14 +8,11 @@ from dpc_jax.experiments import correspondences
 from dpc_jax.shapes.procedural import make_shape
 
 KEYPOINTS = np.array([[0.4, 0.4, 0.4], [-0.4, -0.4, -0.4]])
+FLAT = np.array([1.0, 1.0, 0.4])  # factors
 
 
-def make_cloud(seed=0, count=300):
-    return np.random.default_rng(seed).uniform(-0.5, 0.5, (count, 3))
-
-
-def stretch(points, factor):
-    return points * np.array([1.0, 1.0, factor])
+def make_cloud(count=300):
+    return np.random.default_rng(0).uniform(-0.5, 0.5, (count, 3))
 
 
 def test_an_index_is_taken_only_where_it_is_near_in_every_template():
@@ -40,7 +37,7 @@ def test_a_keypoint_without_enough_points_near_it_gets_the_nearest_ones():
 
 def test_indices_follow_a_shape_that_is_stretched_and_places_do_not():
     cloud = make_cloud(count=3000)
-    template, marks = stretch(cloud, 0.4), stretch(KEYPOINTS, 0.4)
+    template, marks = FLAT * cloud, FLAT * KEYPOINTS
     found = correspondences.select_indices([template], [marks], radius=0.1)
     stay = correspondences.select_nearest(cloud, marks, [len(i) for i in found])
     start = [template[index].mean(axis=0) for index in found]

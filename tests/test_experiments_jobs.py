@@ -6,18 +6,26 @@ import threading
 import time
 from pathlib import Path
 
+import pytest
 from tiny_runs import tiny_config
 
 from dpc_jax.config import to_json
+from dpc_jax.experiments import training
 from dpc_jax.experiments.runs import Run
 from dpc_jax.experiments.training import Job, choose_cores, train_missing
 
-FAKE = Path(__file__).parent / "fake_training.py"
+FAKE = str(Path(__file__).parent / "fake_training.py")
 CONFIG = tiny_config(steps=5)
 
 
+@pytest.fixture(autouse=True)
+def faking(monkeypatch):
+    """Runs are those of `fake_training`."""
+    monkeypatch.setattr(training, "PROGRAM", (FAKE,))
+
+
 def make_job(folder, name) -> Job:
-    """A job whose training `fake_training` plays."""
+    """A job by that name, in folders of its own."""
     run = Run(name, "car", "", 0, ())
     return Job(run, CONFIG, folder / name, folder / "logs" / f"{name}.txt")
 
@@ -28,7 +36,6 @@ def train(folder, *names, stop=None, slots=2):
         [make_job(folder, name) for name in names],
         cores=[-1] * slots,
         stop=stop or threading.Event(),
-        program=[str(FAKE)],
     )
 
 
@@ -37,9 +44,9 @@ def read_starts(folder, name):
     return (folder / name / "starts").read_text().split()
 
 
-def wait_for(path, seconds=30):
+def wait_for(path):
     """Wait until a file is there."""
-    limit = time.monotonic() + seconds
+    limit = time.monotonic() + 30
     while not path.exists():
         assert time.monotonic() < limit, f"{path} never came"
         time.sleep(0.05)

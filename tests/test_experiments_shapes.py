@@ -24,9 +24,9 @@ from dpc_jax.run.workdir import write_alignment
 TURN = Rotation.from_euler("z", 30, degrees=True)
 
 
-def make_config(folder, category="chair", **data):
+def make_config(folder, **data):
     """A tiny config of procedural shapes; 6 of its validation chairs are complete."""
-    config = dataclasses.replace(tiny_config(), category=category)
+    config = dataclasses.replace(tiny_config(), category="chair")
     sizes = dict(val_models=8, test_models=4, views=1, surface_points=200)
     changed = sizes | {"cache_dir": str(folder / "data")} | data
     return dataclasses.replace(config, data=dataclasses.replace(config.data, **changed))
@@ -56,12 +56,11 @@ def reading_once(finished, monkeypatch):
 
 
 def test_clouds_are_those_of_the_network_in_the_object_frame(finished):
-    run = finished
-    images, masks = correspondences.read_first_views(load_split(run, "test"))
-    inputs = make_inputs(images, masks, network=run.network)
-    output = jax.jit(run.network.apply)(run.state.params, inputs)
+    images, masks = correspondences.read_first_views(load_split(finished, "test"))
+    inputs = make_inputs(images, masks, network=finished.network)
+    output = jax.jit(finished.network.apply)(finished.state.params, inputs)
     expected = TURN.apply(np.asarray(output["points"]).reshape(-1, 3))
-    points = predict_points(run, images, masks)
+    points = predict_points(finished, images, masks)
     assert points.shape == (4, 24, 3)
     # Batches of another size sum in another order, in float32.
     np.testing.assert_allclose(points.reshape(-1, 3), expected, atol=1e-5)
@@ -82,14 +81,13 @@ def test_correspondences_are_measured_beside_baselines_and_drawn(tmp_path):
 
 
 def test_the_way_between_images_begins_and_ends_at_their_predictions(finished):
-    run = finished
-    views = correspondences.read_first_views(load_split(run, "test"))
+    views = correspondences.read_first_views(load_split(finished, "test"))
     images, masks = (array[:2] for array in views)
-    way = interpolation.interpolate(run, images, masks)
+    way = interpolation.interpolate(finished, images, masks)
     assert way.shape == (interpolation.STEPS + 1, 24, 3)
     # The same sums in batches of another size, in float32.
     np.testing.assert_allclose(
-        way[[0, -1]], predict_points(run, images, masks), atol=1e-6
+        way[[0, -1]], predict_points(finished, images, masks), atol=1e-6
     )
     halfway = way[interpolation.STEPS // 2]
     assert np.abs(halfway - (way[0] + way[-1]) / 2).max() > 1e-6  # tanh, leaky ReLU

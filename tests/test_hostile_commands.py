@@ -140,7 +140,7 @@ WRONG_FLAGS = {
         "HERE --points=0": "--points: it must be a whole number of at least 1",
         "HERE --elevations=50,10": "--elevations: it must be two numbers",
         "HERE --learn=zoom": "--learn: names must be of",
-        "HERE --speed=3": "unrecognized arguments",
+        "HERE --speed=3": "Expected flags as --help lists them, but unrecognized",
     },
     compare: {"": "RUN", "HERE --out=curves.png": "must be a folder"},
     paper: {

@@ -101,8 +101,8 @@ def test_views_of_unequal_models_are_predicted_and_scored_one_by_one(trained):
     # float32; the batches differ in their composition
     np.testing.assert_allclose(few.points[:, 0], points, atol=1e-5)
     np.testing.assert_allclose(
-        single.pose_errors_deg[:, 0],
-        [equal.pose_errors_deg[place] for place in kept],
+        single.failures.errors_deg[:, 0],
+        [equal.failures.errors_deg[place] for place in kept],
         atol=1e-2,  # degrees; float32 quaternions
     )
     np.testing.assert_allclose(
@@ -137,6 +137,6 @@ def test_without_poses_only_the_overlap_is_left(trained):
     result = evaluator.score(predictions, dataset, alignment=alignment)
     names = {"silhouette_iou", "projection_error", "stray_points"}
     assert set(result.metrics) == names
-    assert result.pose_errors_deg is result.failures is None
+    assert result.failures is None
     text = describe_metrics(result.metrics, share_digits=2)
     assert text.startswith("silhouette overlap 0.")

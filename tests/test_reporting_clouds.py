@@ -7,10 +7,7 @@ import pytest
 from PIL import Image
 
 from dpc_jax.reporting.clouds import draw_cloud, shade_depth, view_points
-from dpc_jax.reporting.gallery import (
-    draw_difference,
-    draw_grid,
-)
+from dpc_jax.reporting.gallery import draw_difference, draw_grid
 
 FRONT = (0.0, 0.0)
 RED, BLUE = [1.0, 0, 0], [0, 0, 1.0]

@@ -31,10 +31,9 @@ class Scores(NamedTuple):
     """
 
     metrics: dict[str, float]
-    pose_errors_deg: np.ndarray | None = None  # [n, V] of each view's predicted pose
     # [n, views scored, 2] precision and coverage, object units, not times 100
     chamfers: np.ndarray | None = None
-    failures: Failures | None = None  # of the predicted poses
+    failures: Failures | None = None  # of the predicted poses, with their errors
     visible_chamfers: np.ndarray | None = None  # as `chamfers`, of what can be seen
 
 
@@ -73,12 +72,11 @@ def score(
     """
     if true_poses is None:
         return Scores({})
-    metrics, errors, failures = {}, None, None
+    metrics, failures = {}, None
     if predicted_poses is not None:
         aligned = align_poses(alignment, predicted_poses)
         failures = find_failures(aligned, true_poses)
-        errors = failures.errors_deg
-        summary = pose_summary(errors)
+        summary = pose_summary(failures.errors_deg)
         metrics = {
             "pose_accuracy": summary.accuracy,
             "pose_median_error_deg": summary.median_error_deg,
@@ -91,7 +89,7 @@ def score(
         metrics["best_candidate_pose_median_error_deg"] = best.median_error_deg
 
     if surfaces is None:
-        return Scores(metrics, errors, failures=failures)
+        return Scores(metrics, failures=failures)
     clouds = align_points(alignment, np.asarray(points)[:, :chamfer_views])
     truths = (Surface(p, name=f"surface of model {i}") for i, p in enumerate(surfaces))
     found = {"": _compare(clouds, truths)}
@@ -100,7 +98,7 @@ def score(
     for prefix, distances in found.items():
         mean = Chamfer(*distances.mean(axis=(0, 1)).tolist()).in_paper_units()
         metrics |= {prefix + name: value for name, value in mean.items()}
-    return Scores(metrics, errors, found[""], failures, found.get("visible_"))
+    return Scores(metrics, found[""], failures, found.get("visible_"))
 
 
 def _compare(clouds: np.ndarray, surfaces: Iterable[Surface]) -> np.ndarray:
@@ -114,11 +112,11 @@ def estimate_errors(scores: Scores) -> dict[str, float]:
 
     By a bootstrap over the objects, whose views are not independent.
     """
-    errors, found = scores.pose_errors_deg, {}
-    if errors is not None:
-        accurate = np.asarray(errors) <= ACCURACY_THRESHOLD_DEG
-        found["pose_accuracy"] = _resample(accurate, np.mean)
-        found["pose_median_error_deg"] = _resample(np.asarray(errors), np.median)
+    found = {}
+    if scores.failures is not None:
+        errors = scores.failures.errors_deg
+        found["pose_accuracy"] = _resample(errors <= ACCURACY_THRESHOLD_DEG, np.mean)
+        found["pose_median_error_deg"] = _resample(errors, np.median)
     if scores.chamfers is not None:
         found["chamfer"] = _resample(100 * scores.chamfers.sum(axis=-1), np.mean)
     if scores.visible_chamfers is not None:

@@ -37,12 +37,12 @@ def extract_surface(cells: ArrayLike, threshold: float) -> tuple[np.ndarray, ...
     padded = np.pad(cells, 1)
     if not padded.max() > threshold:  # NaN is nowhere
         return np.zeros((0, 3), np.float32), np.zeros((0, 3), np.int64)
-    found: Any = marching_cubes(padded, threshold)
+    # Triangles wound as seen from outside, where values are low.
+    found: Any = marching_cubes(padded, threshold, gradient_direction="ascent")
     vertices, faces = found[:2]
     # Index 1 of the padded volume is cell 0.
     places = (vertices - 0.5) / np.array(cells.shape) - 0.5
-    # Marching cubes winds triangles as seen from where values are high.
-    return places.astype(np.float32), faces[:, ::-1].astype(np.int64)
+    return places.astype(np.float32), faces.astype(np.int64)
 
 
 def sample_surface(

@@ -59,12 +59,13 @@ def wrap_points(
         field[cells] = np.maximum(field[cells], radius - kept + _DEPTH)
         # A lone point may be shallower, where no cell's centre is near it.
         level = min(radius - kept, 0.5 * field.max())
-        found: Any = marching_cubes(_drop_specks(field, level), level)
+        field = _drop_specks(field, level)
+        # Triangles wound as seen from outside, where values are low.
+        found: Any = marching_cubes(field, level, gradient_direction="ascent")
         vertices, faces = found[:2]
         if len(faces) <= MOST_FACES:
             places = (vertices + low + 0.5) / side
-            # Marching cubes winds triangles as seen from where values are high.
-            return places.astype(np.float32), faces[:, ::-1].astype(np.int64)
+            return places.astype(np.float32), faces.astype(np.int64)
         side *= 0.97 * np.sqrt(MOST_FACES / len(faces))
 
 

@@ -98,11 +98,7 @@ def _make_job(run: Run, request: Request, folder: Path, cache: Path) -> Job:
 
 
 def train_missing(
-    jobs: Sequence[Job],
-    *,
-    cores: Sequence[int],
-    stop: threading.Event,
-    program: Sequence[str] = PROGRAM,
+    jobs: Sequence[Job], *, cores: Sequence[int], stop: threading.Event
 ) -> dict[str, str]:
     """Train jobs until all are finished or have failed, or `stop` is set.
 
@@ -110,7 +106,6 @@ def train_missing(
       jobs: those that are finished are left as they are.
       cores: that a run each is kept to; -1 for a run that may use all.
       stop: asks all runs to save and end.
-      program: arguments of Python before the flags of a run.
 
     Returns:
       Why jobs failed, by name of the run.
@@ -127,7 +122,7 @@ def train_missing(
                 job = waiting.popleft()
             except IndexError:
                 return
-            if problem := _train(job, core, stop, program):
+            if problem := _train(job, core, stop):
                 failures[job.run.name] = problem
 
     with ThreadPoolExecutor(len(cores)) as pool:
@@ -135,13 +130,13 @@ def train_missing(
     return failures
 
 
-def _train(job: Job, core: int, stop: threading.Event, program: Sequence[str]) -> str:
+def _train(job: Job, core: int, stop: threading.Event) -> str:
     """Train one run; why it failed, or ""."""
     name, started = job.run.name, time.monotonic()
     _say(f"{name}: begins")
     try:
         claim_workdir(job.workdir, job.config)
-        problem = _run(job, core, stop, program)
+        problem = _run(job, core, stop)
     except (ValueError, OSError) as error:
         problem = str(error)
     minutes = (time.monotonic() - started) / 60
@@ -155,7 +150,7 @@ def _say(text: str) -> None:
     print(f"{text}\n", end="", flush=True)
 
 
-def _run(job: Job, core: int, stop: threading.Event, program: Sequence[str]) -> str:
+def _run(job: Job, core: int, stop: threading.Event) -> str:
     """Run the process to its end; why it failed, or "".
 
     It has a session of its own, so that Ctrl-C reaches it through this command alone.
@@ -167,7 +162,7 @@ def _run(job: Job, core: int, stop: threading.Event, program: Sequence[str]) -> 
     job.log.parent.mkdir(parents=True, exist_ok=True)
     with open(job.log, "wb") as log:
         process = subprocess.Popen(
-            [sys.executable, *program, *flags],
+            [sys.executable, *PROGRAM, *flags],
             stdin=subprocess.DEVNULL,
             stdout=log,
             stderr=subprocess.STDOUT,

@@ -6,7 +6,9 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike
+from scipy.spatial import KDTree
 
+from dpc_jax.evaluation.chamfer import check_points
 from dpc_jax.files import SURFACES, write_bytes
 from dpc_jax.reporting.examples import Example
 
@@ -38,9 +40,9 @@ def write_ply(
         plain blue.
 
     Raises:
-      ValueError: points that are not finite or not [N, 3].
+      ValueError: no point, or points that are not finite or not [N, 3].
     """
-    points, colors = _check_cloud(points, colors)
+    points, colors = check_points(points, name="points"), _clip(colors)
     count, names = len(points), (*"xyz", *_SPLAT)
     header = ["ply", "format binary_little_endian 1.0", f"element vertex {count}"]
     header += [f"property float {name}" for name in names]
@@ -59,8 +61,6 @@ def write_ply(
 
 def _measure_gaps(points):
     """Mean distance [N] to the three nearest other points; 0 of a lone point."""
-    from scipy.spatial import KDTree
-
     count = min(4, len(points))
     if count < 2:
         return np.zeros(len(points))
@@ -84,7 +84,7 @@ def write_surface(
       colors: [V, 3] of 0 to 1 (clipped); a plain blue if None.
 
     Raises:
-      ValueError: for vertices that are not finite or not [V, 3].
+      ValueError: no vertex, or vertices that are not finite or not [V, 3].
     """
     path = Path(path)
     if path.suffix == ".glb":
@@ -120,7 +120,7 @@ def _make_mesh(vertices, faces, colors, *, is_linear: bool = False) -> Any:
     import trimesh  # takes half a second to load: clouds as PLY do without
     from trimesh.visual.color import srgb_to_linear
 
-    vertices, colors = _check_cloud(vertices, colors)
+    vertices, colors = check_points(vertices, name="vertices"), _clip(colors)
     if colors is None:
         colors = np.broadcast_to(PLAIN_COLOR, vertices.shape)
     if is_linear:
@@ -157,9 +157,7 @@ def find_surface(
       colors: [N, 3] of the points; a vertex has the mean of its three nearest.
       mesh: vertices and faces that are known already.
     """
-    from scipy.spatial import KDTree  # as scikit-image, for this alone
-
-    from dpc_jax.evaluation.wrapping import wrap_points
+    from dpc_jax.evaluation.wrapping import wrap_points  # needs scikit-image
 
     vertices, faces = mesh or wrap_points(points)
     if colors is not None:
@@ -172,15 +170,5 @@ def _bytes(values: np.ndarray) -> np.ndarray:
     return np.round(255.0 * values).astype("u1")
 
 
-def _check_cloud(points, colors) -> tuple[np.ndarray, np.ndarray | None]:
-    """Finite points and colours of 0 to 1, in float64."""
-    points = np.asarray(points, dtype=np.float64)
-    if points.ndim != 2 or points.shape[1] != 3 or not np.isfinite(points).all():
-        raise ValueError(
-            f"Expected finite points [N, 3], but the shape is {points.shape} and "
-            f"{int((~np.isfinite(points)).sum())} coordinates are not finite; viewers "
-            "could not open such a file."
-        )
-    if colors is not None:
-        colors = np.clip(np.asarray(colors, np.float64), 0.0, 1.0)
-    return points, colors
+def _clip(colors: ArrayLike | None) -> np.ndarray | None:
+    return None if colors is None else np.clip(np.asarray(colors, float), 0.0, 1.0)

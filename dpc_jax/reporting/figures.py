@@ -11,12 +11,7 @@ from matplotlib.figure import Figure
 from matplotlib.ticker import MaxNLocator
 
 from dpc_jax.evaluation.metrics import get_metric
-from dpc_jax.evaluation.pose import (
-    ACCURACY_THRESHOLD_DEG,
-    KINDS,
-    Failures,
-    count_alive,
-)
+from dpc_jax.evaluation.pose import ACCURACY_THRESHOLD_DEG, KINDS, Failures, count_alive
 from dpc_jax.reporting import style
 
 # Metrics drawn over run time.
@@ -51,9 +46,14 @@ def draw_panels(
 ) -> None:
     """A panel for each metric over one span of run time, filled by `draw`.
 
-    Shares are shown whole, all but the loss from zero.
+    They are in rows of two; a single one takes the whole figure. Shares are shown
+    whole, all but the loss from zero.
     """
-    panels = style.make_panels(figure, len(metrics))
+    columns = min(2, len(metrics))
+    grid = figure.subplots(-(-len(metrics) // columns), columns, squeeze=False)
+    panels = grid.flat[: len(metrics)]
+    for axes in grid.flat[len(metrics) :]:
+        axes.set_visible(False)
     for axes, metric in zip(panels, metrics, strict=True):
         title = get_metric(metric).heading
         style.label_axes(axes, title=title, x_label=f"run time ({unit})")
@@ -120,7 +120,7 @@ def draw_fit(records: Records, path: str | os.PathLike) -> Path:
     The records have seconds, side and loss per pixel (`Fit.curve`).
     """
     figure = style.make_figure(5.0, 3.2)
-    (axes,) = style.make_panels(figure, 1)
+    axes = figure.subplots()
     title = "Difference of silhouettes"
     style.label_axes(axes, title=title, x_label="run time (s)", y_label="per pixel")
     for index, side in enumerate(dict.fromkeys(line["side"] for line in records)):

@@ -10,12 +10,7 @@ from matplotlib.colors import to_rgb
 from PIL import Image
 
 from dpc_jax.reporting import style
-from dpc_jax.reporting.clouds import (
-    FRONT,
-    draw_cloud,
-    draw_ellipsoids,
-    shade_depth,
-)
+from dpc_jax.reporting.clouds import FRONT, draw_cloud, draw_ellipsoids, shade_depth
 from dpc_jax.reporting.gallery import draw_grid
 
 _COLUMNS = 6  # as in the paper

@@ -39,15 +39,6 @@ def make_figure(width: float, height: float) -> Figure:
     return figure
 
 
-def make_panels(figure: Figure, count: int) -> list[Axes]:
-    """`count` axes in rows of two; a single one takes the whole figure."""
-    columns = min(2, count)
-    grid = figure.subplots(-(-count // columns), columns, squeeze=False)
-    for axes in grid.flat[count:]:
-        axes.set_visible(False)
-    return list(grid.flat[:count])
-
-
 def label_axes(
     axes: Axes,
     *,

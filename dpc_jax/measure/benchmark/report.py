@@ -1,6 +1,5 @@
 """benchmark.md, benchmark.json and figures: the records, in whole sentences."""
 
-import math
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
@@ -163,4 +162,4 @@ def _ms(seconds: float) -> str:
 
 
 def _percent(value: float) -> str:
-    return f"{100 * value:.2g} %" if math.isfinite(value) else MISSING
+    return f"{100 * value:.2g} %"

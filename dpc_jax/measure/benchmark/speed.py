@@ -140,9 +140,6 @@ def _compile_volume(look, points, pose):
 
 
 def measure_distance(value: np.ndarray, reference: np.ndarray) -> float:
-    """Relative L2 distance; 0 if both are zero, infinite if only the reference is."""
+    """Relative L2 distance."""
     distance = np.linalg.norm(np.asarray(value, np.float64) - reference)
-    size = np.linalg.norm(reference)
-    if size == 0:
-        return 0.0 if distance == 0 else float("inf")
-    return float(distance / size)
+    return float(distance / np.linalg.norm(reference))

@@ -69,8 +69,8 @@ def choose_examples(
     scores = judged.scores
     overlaps = compare_silhouettes(judged.predictions, judged.dataset)[..., 0]
     badness, measure = -overlaps, "overlap of silhouettes"
-    if scores.pose_errors_deg is not None:
-        badness, measure = scores.pose_errors_deg, "pose error"
+    if scores.failures is not None:
+        badness, measure = scores.failures.errors_deg, "pose error"
     elif scores.chamfers is not None:
         badness, measure = scores.chamfers.sum(axis=-1), "Chamfer distance"
     examples = [
@@ -93,7 +93,7 @@ def _make_example(
     predictions, dataset, alignment, scores, distance, threshold = judged
     models, views = arrange_views(dataset)
     model, view = models[row, place], views[row, place]
-    errors, colors = scores.pose_errors_deg, predictions.colors
+    failures, chamfers, colors = scores.failures, scores.chamfers, predictions.colors
     surface = None if dataset.surfaces is None else np.asarray(dataset.surfaces[model])
     mesh, neighbours = None, ()
     if threshold is not None:
@@ -102,7 +102,7 @@ def _make_example(
 
         mesh = find_surface(predictions, row, threshold, alignment, place=place)
     points = align_points(alignment, predictions.points[row, place])
-    chamfers = scores.chamfers
+    error = None if failures is None else float(failures.errors_deg[row, place])
     chamfer = None if chamfers is None else 100 * float(chamfers[row, place].sum())
     if shapes is not None and surface is not None:
         neighbours = shapes.list_neighbours(surface, len(points))
@@ -114,7 +114,7 @@ def _make_example(
         predicted=predictions.silhouettes[row, place],
         points=points,
         colors=None if colors is None else colors[row, place],
-        pose_error_deg=None if errors is None else float(errors[row, place]),
+        pose_error_deg=error,
         mesh=mesh,
         surface=surface,
         images=read_view(predictions, dataset, row, place, distance=distance),
