@@ -1,5 +1,8 @@
 """Evaluation where poses or shapes are not known, or models differ in their views."""
 
+import dataclasses
+from types import SimpleNamespace
+
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -20,6 +23,7 @@ from dpc_jax.learning.shapes.kind import Choice, View
 from dpc_jax.learning.shapes.points import Points
 from dpc_jax.learning.signals import downsample_images
 from dpc_jax.render import Camera
+from dpc_jax.run.learner import Learner
 
 
 def rag(dataset, counts):
@@ -115,10 +119,42 @@ def test_views_of_unequal_models_are_predicted_and_scored_one_by_one(trained):
     )
 
 
+@pytest.mark.parametrize("meshes, accuracy", [("a folder", 0), ("", 1)])
+def test_training_meshes_outvote_a_few_reversed_validation_objects(
+    trained, monkeypatch, meshes, accuracy
+):
+    dataset, whole, _, _ = trained
+    config = tiny_runs.tiny_config()
+    data = dataclasses.replace(config.data, meshes=meshes)
+    clouds = np.repeat(np.stack(dataset.surfaces)[:, None], 3, axis=1)
+
+    def predict(_, state, split, threshold=None):
+        shown = jax.tree.map(lambda a: a[: 1 if split == "val" else 3], whole)
+        count = len(shown.poses)
+        poses, points = np.asarray(dataset.quaternions)[:count], clouds[:count]
+        if split == "val":  # learned with front and back exchanged
+            poses = poses[..., ::-1] * [
+                -1,
+                1,
+                -1,
+                1,
+            ]  # times the quaternion (0, 0, 0, 1)
+            points = points * [-1, -1, 1]
+        return shown._replace(poses=poses, points=points), None
+
+    monkeypatch.setattr(Learner, "predict", predict)
+    sets = {"train": dataset, "val": dataset.take(1), "test": dataset}
+    learner = Learner(dataclasses.replace(config, data=data), sets)
+    state = SimpleNamespace(step=1)
+    assert learner.validate(state)["pose_accuracy"] == accuracy
+    _, alignment, _ = learner.predict_test(state)
+    assert abs(alignment.rotation[0]) == pytest.approx(1 - accuracy, abs=1e-3)
+
+
 def test_without_shapes_chamfer_is_left_out_and_overlap_given(trained):
     dataset, whole, _, _ = trained
     dataset = dataset._replace(surfaces=None)
-    alignment = evaluator.align(whole, dataset)
+    alignment = evaluator.align((whole, dataset))
     result = evaluator.score(whole, dataset, alignment=alignment, chamfer_views=1)
     assert "pose_accuracy" in result.metrics and result.chamfers is None
     assert result.failures is not None
@@ -133,7 +169,7 @@ def test_without_poses_only_the_overlap_is_left(trained):
     dataset, _, predict, _ = trained
     dataset = dataset._replace(quaternions=None, surfaces=None)
     predictions = predict(dataset)
-    alignment = evaluator.align(predictions, dataset)
+    alignment = evaluator.align((predictions, dataset))
     result = evaluator.score(predictions, dataset, alignment=alignment)
     names = {"silhouette_iou", "projection_error", "stray_points"}
     assert set(result.metrics) == names

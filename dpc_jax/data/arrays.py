@@ -73,6 +73,16 @@ class DataSet(NamedTuple):
         """What an array with a row per view has of one model."""
         return np.asarray(getattr(self, name)[model])[: self.counts[model]]
 
+    def take(self, count: int) -> "DataSet":
+        """The first models, at most so many."""
+        names = self.names[:count]
+        arrays = {
+            field: Stack([rows[model] for model in range(len(names))])
+            for field, rows in self._asdict().items()
+            if not isinstance(rows, tuple | None)
+        }
+        return self._replace(names=names, **arrays)
+
     def read_visible(self, model: int) -> np.ndarray:
         """Points [P, 3] float64 of a model's surface that can be seen from outside."""
         return np.asarray(self.visible[model]) / VISIBLE_STEPS - 0.5

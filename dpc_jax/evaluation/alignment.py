@@ -30,7 +30,7 @@ from dpc_jax.evaluation.rotations import rotation_angle_deg
 INLIER_DEG = 30.0  # a vote this near agrees: the threshold of pose accuracy
 _KERNEL_DEG = 15.0  # width of the robust weight, half of the above (heuristic)
 _MAX_STEPS, _TOLERANCE_DEG = 50, 1e-6  # of the robust mean
-_MODELS = 20  # paper: the first 20 validation models
+MODELS = 20  # paper: the first 20 validation models
 _POINTS, _SURFACE_POINTS = 400, 1200  # drawn from each cloud and each surface
 _MOST_VOTES = 1000  # views that vote where there are no shapes
 _MOST_MODES = 6
@@ -291,7 +291,7 @@ def _check(predicted_poses, true_poses, points, surfaces):
             f"{[s.shape for s in surfaces[:3]]}; pass validation models, all with the "
             f"same number of views."
         )
-    clouds = clouds[:_MODELS].astype(np.float64)
+    clouds = clouds[:MODELS].astype(np.float64)
     check_points(clouds.reshape(-1, 3), name="points")
-    surfaces = [check_points(s, name="surfaces") for s in surfaces[:_MODELS]]
-    return poses[:_MODELS], truth[:_MODELS], clouds, surfaces
+    surfaces = [check_points(s, name="surfaces") for s in surfaces[:MODELS]]
+    return poses[:MODELS], truth[:MODELS], clouds, surfaces

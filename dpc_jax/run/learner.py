@@ -2,7 +2,7 @@
 
 from dpc_jax.config import Config
 from dpc_jax.data import DataSet
-from dpc_jax.evaluation.alignment import Alignment, identity_alignment
+from dpc_jax.evaluation.alignment import MODELS, Alignment, identity_alignment
 from dpc_jax.learning.batches import list_extras
 from dpc_jax.learning.inference import evaluator
 from dpc_jax.learning.inference.predictor import (
@@ -14,13 +14,15 @@ from dpc_jax.learning.step import TrainState
 from dpc_jax.networks import ShapePoseNetwork
 from dpc_jax.run.setup import make_network
 
+_ALIGNING = "aligning"  # training objects that align with those that validate
+
 
 class Learner:
     """A network with its data sets: what it predicts of them, and how good that is."""
 
     def __init__(self, config: Config, sets: dict[str, DataSet]):
         """sets: by their splits."""
-        self.config, self.sets = config, sets
+        self.config, self.sets = config, _add_aligning(config, sets)
         self.network: ShapePoseNetwork = make_network(config)
         self.predictor = make_predictor(self.network, config)
         # Of the last validation: its step, alignment and threshold.
@@ -48,7 +50,10 @@ class Learner:
         from dpc_jax.learning.inference import volumes
 
         if split == "val":
-            threshold = volumes.find_threshold(found, self.sets["val"], self.align)
+            data = self.sets["val"]
+            threshold = volumes.find_threshold(
+                found, data, lambda shown: self.align((shown, data))
+            )
         if threshold is None:
             raise ValueError(
                 "Expected the threshold of surfaces in the run's report, but there is "
@@ -56,16 +61,20 @@ class Learner:
             )
         return volumes.add_points(found, threshold), threshold
 
-    def align(self, predictions: Predictions) -> Alignment:
-        """Canonical alignment, from predictions for the validation split."""
+    def align(self, *shown: tuple[Predictions, DataSet]) -> Alignment:
+        """Canonical alignment, from predictions for data sets that are no test."""
         if self.config.pose.aligned:
             return identity_alignment()  # learned in the data's own frame
-        return evaluator.align(predictions, self.sets["val"])
+        return evaluator.align(*shown)
 
     def validate(self, state: TrainState) -> dict[str, float]:
         """Metrics on the validation split."""
         predictions, threshold = self.predict(state, "val")
-        alignment = self.align(predictions)
+        shown = [(predictions, self.sets["val"])]
+        if _ALIGNING in self.sets:
+            more, _ = self.predict(state, _ALIGNING, threshold=threshold)
+            shown.append((more, self.sets[_ALIGNING]))
+        alignment = self.align(*shown)
         self._validated = int(state.step), alignment, threshold
         result = evaluator.score(
             predictions,
@@ -91,3 +100,14 @@ class Learner:
         _, alignment, threshold = self._validated
         predictions, _ = self.predict(state, "test", threshold=threshold)
         return predictions, alignment, threshold
+
+
+def _add_aligning(config, sets):
+    """The sets, with the first training meshes where few objects validate.
+
+    Of a dozen airplanes of few families half may be learned in a reversed orientation.
+    """
+    missing = MODELS - len(sets["val"].names)
+    if not config.data.meshes or config.pose.aligned or missing <= 0:
+        return sets
+    return sets | {_ALIGNING: sets["train"].take(missing)}

@@ -29,12 +29,21 @@ def arrange_truth(dataset: DataSet) -> tuple[Any, Any, Any]:
     )
 
 
-def align(predictions: Predictions, dataset: DataSet) -> alignments.Alignment:
-    """Canonical alignment from validation models; without their poses there is none."""
-    poses, surfaces, _ = arrange_truth(dataset)
-    if poses is None:
+def align(*shown: tuple[Predictions, DataSet]) -> alignments.Alignment:
+    """Canonical alignment from predictions for data sets; without poses there is none.
+
+    Models of the first set stand first; all have equally many views.
+    """
+    predictions, sets = zip(*shown, strict=True)
+    poses, surfaces, _ = zip(*map(arrange_truth, sets), strict=True)
+    if any(given is None for given in poses):
         return alignments.identity_alignment()
-    return alignments.align(predictions.poses, poses, predictions.points, surfaces)
+    return alignments.align(
+        np.concatenate([found.poses for found in predictions]),
+        np.concatenate(poses),
+        np.concatenate([found.points for found in predictions]),
+        None if any(s is None for s in surfaces) else sum(surfaces, []),
+    )
 
 
 def score(
