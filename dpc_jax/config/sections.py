@@ -129,9 +129,9 @@ class Pose:
     # Regresses a pose, by the paper's angle (q and -q alike) or by the released code's
     # squares of it; or tells which candidate is how likely.
     student: str = field("selects", one_of("regresses", "squares", "selects"))
-    # Candidates compared exactly, the best of a ranking by few points; 0, and of
-    # points with sizes of their own: all.
-    choice_top: int = field(3, at_least(0))
+    # Candidates compared exactly, the best of a ranking by few points, half as many in
+    # the fine grid; 0, and of points with sizes of their own: all.
+    choice_top: int = field(6, at_least(0))
     # What tells a kind of objects from its half turn, to be turned back: where its
     # points are, or where it has which colours; "": no kind is.
     common_frame: str = field("points", one_of("", "points", "colors"))

@@ -43,6 +43,7 @@ def compute_loss(
       (() loss, (metrics, averages)). Metrics: reprojection (mean sum of squares of a
       view), student's loss, scale, winners [B·V] int32, and the other active losses.
     """
+    recipe = recipe.enter(stage)
     network, render = recipe.network, recipe.render
     sigma = schedules.compute_sigma(step, render, steps=recipe.train.steps)
     views = batch["masks"].shape[1]

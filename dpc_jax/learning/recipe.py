@@ -1,10 +1,12 @@
 """What is static about a run's steps, and what a step hands on."""
 
+import dataclasses
 from typing import Any, NamedTuple
 
 import jax
 
 from dpc_jax.config import Pose, Render, Train
+from dpc_jax.learning.schedules import Stage
 from dpc_jax.learning.signals import Weights
 from dpc_jax.networks import ShapePoseNetwork
 from dpc_jax.render import Camera
@@ -35,6 +37,17 @@ class Recipe(NamedTuple):
             train.background_weight,
             self.spreads_masks,
         )
+
+    def enter(self, stage: Stage) -> "Recipe":
+        """The recipe of a stage: in the fine grid half of `choice_top` are compared.
+
+        More candidates find poses while shapes form (docs/log.md), and only cost time
+        then.
+        """
+        if stage.grid == self.render.grid:
+            return self
+        top = (self.pose.choice_top + 1) // 2
+        return self._replace(pose=dataclasses.replace(self.pose, choice_top=top))
 
 
 class Averages(NamedTuple):
