@@ -7,6 +7,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 from data_trees import project_points
+from scipy import ndimage
 from tiny_runs import assert_same_bits, tiny_config
 
 from dpc_jax import rotation_angle_deg
@@ -375,16 +376,66 @@ def test_a_color_has_the_same_bin_however_dark_it_is():
     assert len(set(greys)) == 1 and greys[0] != bright
 
 
+def draw_tiles(rng):
+    """An image of 64 evenly coloured squares, greys among them; numbers from 0 to 1."""
+    tiles = rng.uniform(0.1, 0.9, (8, 8, 3))
+    tiles[::2, ::2] = tiles[::2, ::2, :1]
+    return np.kron(tiles, np.ones((8, 8, 1)))
+
+
+def to_bytes(image):
+    return jnp.asarray(np.clip(np.rint(255 * image), 0, 255), jnp.uint8)
+
+
+def test_without_noise_a_color_is_of_its_bin_alone():
+    image = to_bytes(draw_tiles(np.random.default_rng(0)))
+    shares = np.asarray(colors.spread_colors(image, jnp.full((64, 64), 255, jnp.uint8)))
+    bins = np.asarray(colors.sort_colors(image / 255))
+    own = np.take_along_axis(shares, bins[..., None], axis=-1)
+    assert np.all(own > 1 - 1e-6)  # float32
+    # Too small to measure noise in.
+    empty = colors.spread_colors(image, jnp.zeros((64, 64), jnp.uint8))
+    np.testing.assert_array_equal(empty, shares)
+
+
+def test_a_blurred_image_comes_nearer_to_the_sharp_one_and_others_stay():
+    sharp, inside = draw_tiles(np.random.default_rng(1)), jnp.ones((64, 64), bool)
+    blurred = ndimage.gaussian_filter(sharp, (1, 1, 0))
+    found = colors._sharpen(jnp.asarray(blurred, jnp.float32), inside)
+    # To first order: 0.89 of the error are left.
+    assert np.std(found - sharp) < 0.92 * np.std(blurred - sharp)
+    plain = np.full((64, 64, 3), 0.3)
+    for image in (sharp, plain):
+        given = jnp.asarray(image, jnp.float32)
+        np.testing.assert_array_equal(colors._sharpen(given, inside), given)
+
+
+def test_a_noisy_color_is_of_the_bins_that_such_noise_leads_to():
+    """Against the frequencies of draws from the same noise."""
+    rng, noise = np.random.default_rng(0), 0.04
+    seen = draw_tiles(rng) + rng.normal(0, noise, (64, 64, 3))
+    mask = jnp.full((64, 64), 255, jnp.uint8)
+    shares = np.asarray(colors.spread_colors(to_bytes(seen), mask))
+    np.testing.assert_allclose(shares.sum(-1), 1, rtol=1e-5)
+    for place in ((2, 2), (20, 20), (20, 29), (60, 3)):
+        drawn = seen[place] + rng.normal(0, noise, (4000, 3))
+        bins = np.asarray(colors.sort_colors(jnp.asarray(drawn)))
+        wanted = np.bincount(bins, minlength=colors.BINS**2) / len(bins)
+        # Brightness is taken as it is seen, and the axes as independent: together
+        # within a tenth.
+        assert np.abs(shares[place] - wanted).sum() / 2 < 0.1
+
+
 def test_points_behind_others_have_no_color():
     """A wall in front of another one, seen along z."""
     grid = np.stack(np.meshgrid(*[np.linspace(-0.2, 0.2, 20)] * 2), -1).reshape(-1, 2)
     walls = [np.c_[grid, np.full(len(grid), z)] for z in (-0.2, 0.2)]
     points = jnp.asarray(np.concatenate(walls), jnp.float32)
     own = {"rotation": jnp.array([1.0, 0, 0, 0])}
-    image = jnp.full((SIDE, SIDE, 3), 100, jnp.uint8)
+    bins = jnp.zeros((SIDE, SIDE), jnp.int32)
     mask = jnp.full((SIDE, SIDE), 255, jnp.uint8)
     see = jax.jit(functools.partial(colors.see_points, camera=Camera()))
-    samples = see(points, own, image, mask)
+    samples = see(points, own, bins, mask)
     near, far = np.asarray(samples.weights).reshape(2, -1)
     assert np.all(near > 0)
     assert np.mean(far > 0) < 0.1  # none but at the border of the near one

@@ -167,10 +167,11 @@ def _judge_views(points, winners, cameras, batch, turns, scores, camera, heads):
     def judge_view(points, winner, per_view, image, mask):
         poses = jax.vmap(quaternion.multiply, (None, 0))(winner.poses, turns)
         indices = _turn_index(winner.indices, jnp.arange(len(turns)), heads)
+        bins = colors.sort_colors(image / 255)
 
         def see(pose):
             view = {"rotation": pose, **per_view}
-            found = colors.see_points(points, view, image, mask, camera=camera)
+            found = colors.see_points(points, view, bins, mask, camera=camera)
             found = colors.weigh_paint(found)
             return found, colors.judge_samples(found, scores)
 

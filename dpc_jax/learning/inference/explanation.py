@@ -134,12 +134,13 @@ def weigh_by_colors(
     from dpc_jax.learning.choice import colors  # where asked for
 
     camera = Camera(config.render.focal_length, config.render.distance)
+    bins = colors.spread_colors(image, mask)
 
     def judge(pose):
         samples = colors.see_points(
             scene["points"][: colors.POINTS],
             {"rotation": pose, **base.camera},
-            image,
+            bins,
             mask,
             camera=camera,
             frame=base.frame,
