@@ -28,6 +28,7 @@ from dpc_jax.learning.candidates import (
 from dpc_jax.learning.choice import hindsight
 from dpc_jax.learning.devices import AXIS
 from dpc_jax.learning.objective import compute_loss
+from dpc_jax.learning.poses import source
 from dpc_jax.learning.poses.source import compare_labels, compare_student
 from dpc_jax.learning.recipe import Averages
 from dpc_jax.learning.schedules import find_stage
@@ -234,6 +235,31 @@ def test_the_gradient_through_the_winner_alone_is_that_of_the_plain_minimum():
         np.testing.assert_allclose(found, wanted, atol=2e-5 * largest + 1e-7)
     norms = [float(jnp.linalg.norm(g)) for g in jax.tree.leaves(gradient)]
     assert np.median(norms) > 1e-3
+
+
+@pytest.mark.parametrize(("compared", "later"), [(6, 3), (1, 1), (0, 0)])
+def test_in_the_fine_grid_half_of_the_candidates_are_compared_exactly(
+    monkeypatch, compared, later
+):
+    config = tiny_config(fine_grid=16, choice_top=compared)
+    network, batch, counts = make_network(config), make_batch(), []
+
+    def choose(*args, recipe):
+        counts.append(recipe.pose.choice_top)
+        return hindsight.choose_poses(*args, recipe=recipe)
+
+    monkeypatch.setattr(source, "choose_poses", choose)
+    for step in (0, config.train.steps - 1):
+        compute = functools.partial(
+            compute_loss,
+            recipe=make_recipe(config, network),
+            stage=find_stage(step, config.render, steps=config.train.steps),
+        )
+        keys = jax.random.split(jax.random.key(0), 2)
+        averages = Averages(jnp.zeros((3, 3)))
+        params = make_state(network, config).params
+        jax.eval_shape(compute, params, batch, keys, jnp.asarray(step), averages)
+    assert counts == [compared, later]
 
 
 # Labels in place of images.

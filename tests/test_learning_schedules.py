@@ -6,11 +6,10 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from tiny_runs import make_network, make_recipe, tiny_config
+from tiny_runs import make_network, tiny_config
 
 from dpc_jax.learning.schedules import (
     FINE_FROM,
-    Stage,
     compute_sigma,
     count_kept_points,
     find_stage,
@@ -154,12 +153,3 @@ def test_with_a_fine_grid_the_number_of_points_changes_once_where_it_begins():
     spans = list_spans(config.render, steps=100)
     kept = [(span.start, span.stage.kept_points) for span in spans]
     assert kept == [(0, 250), (FINE_FROM * 100, 500)]
-
-
-@pytest.mark.parametrize(("compared", "later"), [(6, 3), (1, 1), (0, 0)])
-def test_in_the_fine_grid_half_of_the_candidates_are_compared_exactly(compared, later):
-    config = tiny_config(grid=8, fine_grid=16, choice_top=compared)
-    counts = [
-        make_recipe(config).enter(Stage(10, side)).pose.choice_top for side in (8, 16)
-    ]
-    assert counts == [compared, later]
