@@ -17,7 +17,6 @@ from dpc_jax.learning.candidates import (
     turn_candidates,
 )
 from dpc_jax.learning.choice import colors, common_frame
-from dpc_jax.learning.choice.common_frame import turn_back
 from dpc_jax.learning.choice.hindsight import Winners
 from dpc_jax.learning.devices import AXIS
 from dpc_jax.learning.inference.explanation import (
@@ -30,6 +29,7 @@ from dpc_jax.render import Camera, quaternion
 COVARIANCE = jnp.diag(jnp.array([1.0, 2.0, 4.0]))  # the axes are x, y and z
 HEADS, SIDE = 2, 32
 COUNT, VIEWS = 4, 3  # of every batch, so that few programs are compiled
+BY_COLORS = tiny_config(common_frame="colors")
 YELLOW, RED, GREY = (240, 220, 40), (220, 30, 30), (128, 128, 128)
 
 
@@ -60,21 +60,17 @@ def draw_views(points, poses, ends, **camera):
 @jax.jit
 def turn(winners, points, images, masks, frame, is_due):
     """`turn_back` on devices with an object each: a shape for all views, or of each."""
+    how = {"heads": HEADS, "is_due": is_due}
 
     def on_device(winners, points, images, masks):
         numbers = jax.lax.axis_index(AXIS) * VIEWS + jnp.arange(VIEWS)
-        return turn_back(
-            winners,
-            jnp.broadcast_to(points, (VIEWS, *points.shape[-2:])),
-            {"images": images, "masks": masks, "view_ids": numbers},
-            COVARIANCE,
-            frame,
-            camera=Camera(),
-            cameras={},
-            views=VIEWS,
-            heads=HEADS,
-            is_due=is_due,
-        )
+        batch = {"images": images, "masks": masks, "view_ids": numbers}
+        points = jnp.broadcast_to(points, (VIEWS, *points.shape[-2:]))
+        seen = winners, points, batch, find_half_turns(COVARIANCE), frame
+        if isinstance(frame, common_frame.Frame):
+            known = {"covariance": COVARIANCE, "views": VIEWS}
+            return common_frame.turn_back(*seen, **known, **how)
+        return colors.turn_views(*seen, camera=Camera(), cameras={}, **how)
 
     new, frames, shares = jax.vmap(on_device, axis_name=AXIS)(
         winners, points, images, masks
@@ -104,7 +100,7 @@ def make_objects(count=COUNT, *, thick, ends, seed=0):
 
 @functools.cache
 def learn_frame(*, by_colors=False, **kind):
-    frame = common_frame.start_frame(by_colors=by_colors)
+    frame = colors.start_counts() if by_colors else common_frame.start_frame()
     for seed in range(24 // COUNT):
         _, frame, share = turn(*make_objects(**kind, seed=seed), frame, False)
         assert not share
@@ -115,8 +111,7 @@ def learn_ends():
     """The frame of bars with ends of two colours, and a batch of others."""
     frame = learn_frame(by_colors=True, thick=False, ends=(YELLOW, RED))
     # Kept sums are those of some 24 objects; a run has seen hundreds.
-    frame = frame._replace(colors=frame.colors * 30)
-    return frame, *make_objects(thick=False, ends=(YELLOW, RED), seed=9)
+    return frame * 30, *make_objects(thick=False, ends=(YELLOW, RED), seed=9)
 
 
 def learn_bars(seed=9):
@@ -212,13 +207,6 @@ def test_the_winner_is_the_same_head_after_that_half_turn():
             assert np.all(np.asarray(found.indices) % HEADS == 1)
 
 
-def test_where_shapes_look_the_same_turned_colors_decide():
-    """Paint differs from object to object; the ends do not."""
-    frame, *right = learn_ends()
-    assert float(turn(*right, frame, True)[2]) == 0
-    assert float(turn(*exchange_ends(*right), frame, True)[2]) == 1
-
-
 def test_colors_turn_a_view_that_silhouettes_leave_open():
     """The first view of each object is learned from the wrong end."""
     frame, right, *seen = learn_ends()
@@ -233,7 +221,7 @@ def test_colors_turn_a_view_that_silhouettes_leave_open():
         early, *_ = turn(winners, *seen, frame, False)
         assert_same_bits(early, winners)
         found, _, share = turn(winners, *seen, frame, True)
-        assert float(share) == 0  # of whole objects
+        assert np.isclose(share, is_turned / VIEWS)
         expected = right if is_turned else winners
         np.testing.assert_array_equal(found.indices, expected.indices)
         assert np.all(rotation_angle_deg(found.poses, expected.poses) < 0.5)
@@ -243,7 +231,7 @@ def test_colors_turn_a_view_that_silhouettes_leave_open():
 def test_colors_say_from_which_end_an_image_is_taken(distance):
     """Also of a photograph, whose distance is not known."""
     frame, winners, points, *_ = learn_ends()
-    scores = find_color_scores(frame)
+    scores = find_color_scores(frame, BY_COLORS)
     cloud, true = points[0], winners.poses[0, 0]
     away = distance != 2.0
     image, mask = draw_views(cloud, true[None], (YELLOW, RED), distance=distance)
@@ -261,8 +249,7 @@ def test_colors_say_from_which_end_an_image_is_taken(distance):
 
     np.testing.assert_allclose(weigh(jnp.zeros_like(scores)), [0.6, 0.4], rtol=1e-6)
     assert weigh(scores)[1] > 0.9
-    unclear = frame._replace(moments=0 * frame.moments)
-    assert not np.any(find_color_scores(unclear))
+    assert not np.any(find_color_scores(colors.start_counts(), BY_COLORS))
 
 
 def draw_plane(rng, *, wing, tail):
@@ -322,7 +309,7 @@ def test_a_kind_that_is_turned_round_does_not_judge_itself(monkeypatch):
 
 def test_the_last_objects_are_remembered(monkeypatch):
     monkeypatch.setattr(common_frame, "OBJECTS", 10)
-    frame = common_frame.start_frame(by_colors=False)
+    frame = common_frame.start_frame()
     clouds = []
     for seed in range(3):
         objects = make_objects(thick=True, ends=(GREY, GREY), seed=seed)
@@ -345,23 +332,18 @@ def test_ways_are_level_where_cameras_are_upright():
     assert abs(ways[0] @ np.asarray(covariance) @ ways[1]) < 1e-5
 
 
-POINTS, COLORS = [[0.02], [-0.08]], [[-0.03], [0.01]]  # gains of two objects
-CLEAR = [0.0052, 0.0017]  # mean squares
-
-
 @pytest.mark.parametrize(
-    ("gains", "means", "turns", "fit"),
+    ("gains", "mean", "turns", "fit"),
     [
-        ([POINTS], [-0.06], [1, 0], [False, True]),
-        ([[[0.01], [-0.02]]], [-0.06], [0, 0], [False, False]),  # both ways alike
-        ([POINTS], [-0.01], [0, 0], [True, True]),  # points that tell nothing apart
-        ([POINTS, COLORS], [-0.06, -0.04], [0, 1], [False, True]),
-        ([POINTS, COLORS], [-0.06, -0.001], [1, 0], [False, True]),  # colours, too
+        ([[0.02], [-0.08]], -0.06, [1, 0], [False, True]),
+        ([[0.01], [-0.02]], -0.06, [0, 0], [False, False]),  # both ways alike
+        ([[0.02], [-0.08]], -0.01, [0, 0], [True, True]),  # tells nothing apart
     ],
 )
-def test_clear_colors_decide_and_without_them_clear_points(gains, means, turns, fit):
-    count = len(means)
-    moments = jnp.array([[1.0] * count, means, CLEAR[:count]])[..., None]
+def test_points_decide_where_they_tell_the_category_from_its_half_turn(
+    gains, mean, turns, fit
+):
+    moments = jnp.array([[1.0], [mean], [0.0052]])
     wanted, fits = common_frame._choose_turns(jnp.array(gains), moments)
     assert wanted.tolist() == turns
     assert fits.tolist() == fit

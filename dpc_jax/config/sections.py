@@ -132,8 +132,8 @@ class Pose:
     # Candidates compared exactly, the best of a ranking by few points, half as many in
     # the fine grid; 0, and of points with sizes of their own: all.
     choice_top: int = field(6, at_least(0))
-    # What tells a kind of objects from its half turn, to be turned back: where its
-    # points are, or where it has which colours; "": no kind is.
+    # What tells half turns apart, to turn back what is reversed: of objects, where
+    # their points are; of views, where they have which colours; "": nothing is.
     common_frame: str = field("points", one_of("", "points", "colors"))
     student_weight: float = field(0.003, at_least(0))  # per pixel of the silhouette
     translation: bool = False  # of each view, learned (released code)

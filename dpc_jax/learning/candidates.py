@@ -113,3 +113,12 @@ def turn_candidates(candidates: jax.Array, turns: jax.Array) -> jax.Array:
     over_candidates = jax.vmap(quaternion.multiply, in_axes=(0, None))
     turned = jax.vmap(over_candidates, in_axes=(None, 0))(candidates, turns)
     return turned.reshape(-1, 4)
+
+
+def turn_index(index: jax.Array, turn: jax.Array, heads: int) -> jax.Array:
+    """The candidate of the same of K heads after one more half turn.
+
+    Candidate i is of head i % K after half turn i // K, and these form a group in which
+    the turn a after the turn b is the turn a ^ b.
+    """
+    return (index // heads ^ turn.astype(jnp.int32)) * heads + index % heads

@@ -60,7 +60,7 @@ def count_kept_points(step: int, render: Render, *, steps: int) -> int:
 
 
 def is_framing(step: chex.Numeric, *, steps: int, by_colors: bool) -> jax.Array:
-    """Whether objects are turned to one frame at a step; by colours to the end."""
+    """Whether half turns are undone at a step; by colours to the end."""
     step = jnp.asarray(step)
     return (step >= _FRAME_FROM * steps) & (by_colors | (step < _FRAME_UNTIL * steps))
 

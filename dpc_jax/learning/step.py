@@ -77,9 +77,14 @@ def _init_whole(network, config, seed):
     cost = jnp.zeros(()) if config.pose.source == "sampled" else None
     frame, pose = None, config.pose
     if pose.common_frame and pose.half_turns and config.network.shape == "points":
-        from dpc_jax.learning.choice.common_frame import start_frame  # where asked
+        if pose.common_frame == "colors":  # each loaded where asked for
+            from dpc_jax.learning.choice.colors import start_counts
 
-        frame = start_frame(pose.turns, by_colors=pose.common_frame == "colors")
+            frame = start_counts()
+        else:
+            from dpc_jax.learning.choice.common_frame import start_frame
+
+            frame = start_frame(pose.turns)
     step = jnp.asarray(0, jnp.int32)
     averages = Averages(jnp.zeros((3, 3)), cost, frame)
     return TrainState(step, params, optimizer, averages)

@@ -1,9 +1,11 @@
 """Where a category has which colours, and what those of a view say of its pose.
 
 Not in the paper. Lamps are yellow in front and red behind: silhouettes from the front
-and from behind may be one, colours are not. The colours of visible points are counted
-in cells of the network's frame; a view is likelier from a pose in which the points that
-are visible from there have in it the colours that are usual in their cells.
+and from behind may be one, and a truck turned round, its cab high in front, has that of
+a car; colours are not the same. Those of visible points are counted in cells of the
+network's frame, by moving sums over batches. A view is likelier from a pose in which
+the points that are visible from there have in it the colours that are usual in their
+cells.
 """
 
 from collections.abc import Mapping
@@ -14,7 +16,10 @@ import jax.numpy as jnp
 from jax import lax
 from jax.scipy.special import ndtr
 
-from dpc_jax.learning.cameras import place_camera
+from dpc_jax.learning.cameras import Cameras, place_camera
+from dpc_jax.learning.candidates import turn_index
+from dpc_jax.learning.choice.hindsight import Winners
+from dpc_jax.learning.devices import AXIS
 from dpc_jax.learning.framing import Frame, find_place, frame_by_moments
 from dpc_jax.render import Camera, VoxelGrid, quaternion
 from dpc_jax.render.camera import to_camera_frame, to_grid
@@ -22,6 +27,7 @@ from dpc_jax.render.camera import to_camera_frame, to_grid
 CELLS = 12  # along each axis of the object frame
 BINS = 8  # along each of two axes of hue
 POINTS = 1000  # of a shape, that are looked at
+KEPT = 0.995  # of moving sums in a step: 200 batches
 _IMAGE = 24  # side in which points hide each other
 _BEHIND = 0.06  # box diagonals, within which points of a pixel are seen
 # Variances of an image's edges in pixels², of renders in 19 of 20 at most; and beyond
@@ -45,6 +51,60 @@ class Samples(NamedTuple):
     places: jax.Array
     bins: jax.Array
     weights: jax.Array
+
+
+def start_counts() -> jax.Array:
+    """Of nothing yet: colours in cells, [CELLS³, BINS²]."""
+    return jnp.zeros((CELLS**3, BINS**2))
+
+
+def turn_views(
+    winners: Winners,
+    points: jax.Array,
+    batch: Mapping[str, jax.Array],
+    turns: jax.Array,
+    counts: jax.Array,
+    *,
+    camera: Camera,
+    cameras: Cameras,
+    heads: int,
+    is_due: jax.Array,
+) -> tuple[Winners, jax.Array, jax.Array]:
+    """The half turns of views that colours and silhouettes find likelier together.
+
+    Args:
+      winners: of n views, with their losses. points: [n, N, 3].
+      batch: images uint8 [n, S, S, 3] and masks uint8 [n, S, S].
+      turns: [T, 4] of objects. counts: of the batches before.
+      camera, cameras: of the views. heads: K, of the candidates.
+      is_due: () whether views are turned at this step, or counted alone.
+
+    Returns:
+      (the winners to learn, the counts with this batch, () share of views turned).
+    """
+    scores = jnp.where(is_due, score_colors(counts), 0)
+    still = lax.stop_gradient((points[:, :POINTS], winners, cameras))
+
+    def judge_view(points, winner, per_view, image, mask):
+        poses = jax.vmap(quaternion.multiply, (None, 0))(winner.poses, turns)
+        indices = turn_index(winner.indices, jnp.arange(len(turns)), heads)
+        bins = sort_colors(image / 255)
+
+        def see(pose):
+            view = {"rotation": pose, **per_view}
+            found = weigh_paint(see_points(points, view, bins, mask, camera=camera))
+            return found, judge_samples(found, scores)
+
+        samples, fits = jax.vmap(see)(poses)
+        # Both as logarithms of likelihoods, as in `explanation.find_posteriors`.
+        best = jnp.argmax(fits - winner.losses[indices])
+        return best, jax.tree.map(lambda a: a[best], samples)
+
+    chosen, samples = jax.vmap(judge_view)(*still, batch["images"], batch["masks"])
+    places, bins, weights = (a.reshape(-1, *a.shape[2:]) for a in samples)
+    seen = jnp.zeros_like(counts).at[find_cells(*places.T), bins].add(weights)
+    counts = KEPT * counts + lax.psum(seen, AXIS)
+    return winners.turn(turns, chosen, heads=heads), counts, jnp.mean(chosen > 0)
 
 
 def see_points(
@@ -119,17 +179,6 @@ def judge_samples(samples: Samples, scores: jax.Array) -> jax.Array:
     else:
         found = jnp.log(jnp.sum(bins * jnp.exp(scores[cells]), axis=1))
     return _TRUST * jnp.sum(samples.weights * found)
-
-
-def compare_turns(samples: Samples, turns: jax.Array, scores: jax.Array) -> jax.Array:
-    """Means [T] of `judge_samples` after each of the turns [T, 4] of the object."""
-
-    def fit(turn):
-        places = quaternion.rotate(samples.places, turn)
-        return judge_samples(samples._replace(places=places), scores)
-
-    count = jnp.sum(samples.weights > 0)
-    return jax.vmap(fit)(turns) / jnp.maximum(count, 1)
 
 
 def sort_colors(colors: jax.Array) -> jax.Array:

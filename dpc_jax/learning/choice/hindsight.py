@@ -11,11 +11,12 @@ import jax
 import jax.numpy as jnp
 
 from dpc_jax.learning.cameras import Cameras
+from dpc_jax.learning.candidates import turn_index
 from dpc_jax.learning.recipe import Recipe
 from dpc_jax.learning.shapes.kind import Choice, Scene, Shape, View, place_view
 from dpc_jax.learning.shapes.points import Points
 from dpc_jax.learning.signals import make_targets
-from dpc_jax.render import Camera, checks
+from dpc_jax.render import Camera, checks, quaternion
 from dpc_jax.render.batch import map_renders
 
 # Among the first of a cloud: the winner is one of the three best of such a ranking in
@@ -36,6 +37,11 @@ class Winners(NamedTuple):
     poses: jax.Array
     indices: jax.Array
     losses: jax.Array | None = None
+
+    def turn(self, turns: jax.Array, chosen: jax.Array, *, heads: int) -> "Winners":
+        """After the chosen [n] of the half turns [T, 4] of the objects; of K heads."""
+        poses = jax.vmap(quaternion.multiply)(self.poses, turns[chosen])
+        return Winners(poses, turn_index(self.indices, chosen, heads))
 
 
 def choose_poses(

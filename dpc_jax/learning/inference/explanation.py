@@ -105,13 +105,13 @@ def rank_poses(
     return compare_in_scene(kind, scene, view, {"silhouette": target}, how)
 
 
-def find_color_scores(frame: Any) -> jax.Array | None:
+def find_color_scores(frame: Any, config: Config) -> jax.Array | None:
     """What colours are judged by, from a run's frame; None where it counts none."""
-    if frame is None or frame.colors is None:
+    if frame is None or config.pose.common_frame != "colors":
         return None
-    from dpc_jax.learning.choice import common_frame  # where it is asked for
+    from dpc_jax.learning.choice import colors  # where asked for
 
-    return common_frame.score_clear_colors(frame)
+    return colors.score_colors(frame)
 
 
 def weigh_by_colors(

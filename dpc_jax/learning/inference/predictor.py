@@ -101,7 +101,7 @@ def make_predictor(
         entries, shared = _list_entries(
             output, state, arrays, quaternions, config, knows_distance
         )
-        scores = find_color_scores(state.averages.frame)
+        scores = find_color_scores(state.averages.frame, config)
         found = map_renders(
             functools.partial(_explain, shared=shared, scores=scores, config=config),
             entries,

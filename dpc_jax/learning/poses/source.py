@@ -19,6 +19,7 @@ from dpc_jax.learning.candidates import (
     average_covariance,
     complete_poses,
     compute_covariance,
+    find_half_turns,
 )
 from dpc_jax.learning.choice.hindsight import Winners, choose_poses
 from dpc_jax.learning.losses import Term
@@ -93,22 +94,23 @@ def find_poses(forward: ForwardPass, *, recipe: Recipe) -> ViewPoses:
 
 
 def _turn_back(winners, forward, averages, recipe):
-    """(winners, the frame after the batch, share turned) of `common_frame`."""
-    from dpc_jax.learning.choice import common_frame  # where it is asked for
+    """(winners, the frame after the batch, share turned) by `pose.common_frame`."""
+    by_colors, steps = recipe.pose.common_frame == "colors", recipe.train.steps
+    turns = find_half_turns(averages.covariance, recipe.pose.turns)
+    seen = forward.batch, turns, averages.frame
+    how = {
+        "heads": recipe.pose.learned_heads,
+        "is_due": is_framing(forward.step, steps=steps, by_colors=by_colors),
+    }
+    if by_colors:  # each is loaded where it is asked for
+        from dpc_jax.learning.choice.colors import turn_views as turn
 
-    steps, by_colors = recipe.train.steps, averages.frame.colors is not None
-    return common_frame.turn_back(
-        winners,
-        forward.shapes.find_cloud(),
-        forward.batch,
-        averages.covariance,
-        averages.frame,
-        camera=recipe.camera,
-        cameras=forward.cameras,
-        views=forward.views,
-        heads=recipe.pose.learned_heads,
-        is_due=is_framing(forward.step, steps=steps, by_colors=by_colors),
-    )
+        how |= {"camera": recipe.camera, "cameras": dict(forward.cameras)}
+    else:
+        from dpc_jax.learning.choice.common_frame import turn_back as turn
+
+        how |= {"covariance": averages.covariance, "views": forward.views}
+    return turn(winners, forward.shapes.find_cloud(), *seen, **how)
 
 
 def predict_candidates(
