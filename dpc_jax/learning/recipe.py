@@ -57,7 +57,8 @@ class Averages(NamedTuple):
       covariance: [3, 3] of predicted points, over the last hundred or so batches: its
         principal axes are those of the half turns.
       cost: () of a view; of runs that draw poses, else None.
-      frame: of runs with `pose.common_frame`, see `choice.common_frame`; else None.
+      frame: what `pose.common_frame` goes by: `choice.common_frame.Frame`, or the
+        counts of `choice.colors`; else None.
     """
 
     covariance: jax.Array

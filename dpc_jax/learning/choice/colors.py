@@ -3,9 +3,8 @@
 Not in the paper. Lamps are yellow in front and red behind: silhouettes from the front
 and from behind may be one, and a truck turned round, its cab high in front, has that of
 a car; colours are not the same. Those of visible points are counted in cells of the
-network's frame, by moving sums over batches. A view is likelier from a pose in which
-the points that are visible from there have in it the colours that are usual in their
-cells.
+network's frame. A view is likelier from a pose in which the points that are visible
+from there have in it the colours that are usual in their cells.
 """
 
 from collections.abc import Mapping
@@ -54,7 +53,7 @@ class Samples(NamedTuple):
 
 
 def start_counts() -> jax.Array:
-    """Of nothing yet: colours in cells, [CELLS³, BINS²]."""
+    """Of nothing yet: colours in cells [CELLS³, BINS²], moving sums over batches."""
     return jnp.zeros((CELLS**3, BINS**2))
 
 

@@ -105,7 +105,7 @@ def _turn_back(winners, forward, averages, recipe):
     if by_colors:  # each is loaded where it is asked for
         from dpc_jax.learning.choice.colors import turn_views as turn
 
-        how |= {"camera": recipe.camera, "cameras": dict(forward.cameras)}
+        how |= {"camera": recipe.camera, "cameras": forward.cameras}
     else:
         from dpc_jax.learning.choice.common_frame import turn_back as turn
 
