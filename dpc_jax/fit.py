@@ -27,7 +27,7 @@ def make_parser() -> argparse.ArgumentParser:
     add("folder", type=Path, metavar="FOLDER", help=text)
     add("--out", type=Path, help="folder of the results (./FOLDER-fit)")
     text = (
-        "given: take the folder's poses; rough: begin with them; none: find them; "
+        "given: take the folder's poses; rough: search near them; none: find them; "
         "auto: given where there are some"
     )
     add("--poses", choices=POSES, default="auto", metavar="HOW", help=text)

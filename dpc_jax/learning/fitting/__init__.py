@@ -19,14 +19,13 @@ class FitSettings:
       steps: of each side; those beyond the last side are left out.
       sigma: of the points at the first and last step of each side, voxels of its grid.
       learning_rate: of the points, box diagonals; a tenth of it at the end of a side.
-      camera_share: the share of that rate that learned cameras have, radians, on the
-        first side and on the finer ones.
       repulsion_weight: of the points, which spreads them over the surface.
       pull_weight: of points outside of the silhouettes.
       depth_weight, color_weight: per pixel, beside silhouettes; used where depths or
         colours are given.
-      searches, rounds: of poses from nothing: the best of so many searches.
-      elevations: lowest and highest of the cameras, degrees, for that search.
+      searches, rounds: poses are the best of so many searches, of so many rounds in
+        coarse images; near rough poses half as many search.
+      elevations: lowest and highest of the cameras, degrees, of poses from nothing.
     """
 
     num_points: int = 4000
@@ -34,7 +33,6 @@ class FitSettings:
     steps: tuple[int, ...] = (300, 150, 60, 40)
     sigma: tuple[float, float] = (2.0, 0.5)
     learning_rate: float = 0.01
-    camera_share: tuple[float, float] = (0.1, 0.6)
     repulsion_weight: float = 0.006
     pull_weight: float = 1.0
     depth_weight: float = 1.0

@@ -11,7 +11,6 @@ from dpc_jax.learning.shapes.kind import View, sum_views
 from dpc_jax.learning.shapes.points import Points
 from dpc_jax.learning.signals import Weights
 from dpc_jax.render import Camera
-from dpc_jax.render.batch import map_renders
 
 # By its gradient shapes and poses are better than by the trilinear one (docs/log.md).
 METHOD = "quadratic"
@@ -120,28 +119,3 @@ def take_views(entries: Any, chosen: jax.Array | None) -> Any:
     if chosen is None:
         return entries
     return jax.tree.map(lambda array: array[chosen], entries)
-
-
-def find_losses(
-    cloud: Cloud,
-    candidates: jax.Array,
-    silhouettes: jax.Array,
-    *,
-    sigma: jax.Array,
-    camera: Camera,
-) -> jax.Array:
-    """Loss per pixel of every candidate in every view [V, K], without gradient.
-
-    Args:
-      candidates: [K, 4] quaternions, the same for all views. silhouettes: [V, D, D].
-    """
-    side = silhouettes.shape[-1]
-    scene = {"points": cloud.points, "mass": cloud.find_mass(side), "sigma": sigma}
-
-    def compare(candidate):
-        view = View(candidate, camera, side)
-        image = Points.render(scene, view, signals=("silhouette",)).silhouette
-        assert image is not None
-        return jnp.mean((image[None] - silhouettes) ** 2, axis=(1, 2))
-
-    return map_renders(compare, candidates, renders_at_once=None).T

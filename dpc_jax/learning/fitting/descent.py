@@ -23,7 +23,7 @@ from dpc_jax.learning.losses import (
     repulsion_energy,
 )
 from dpc_jax.learning.signals import Weights, average_blocks
-from dpc_jax.render import Camera, VoxelGrid, quaternion
+from dpc_jax.render import Camera, VoxelGrid
 from dpc_jax.render.batch import find_room, sort_inputs
 
 CHUNK = 10  # steps of one call
@@ -31,6 +31,7 @@ COARSE_UP_TO = 128  # side of images up to which a step sees all views
 _FINE_VIEWS = 4  # of a step in finer ones
 _SPARE = 1.2  # room for blocks over what the first step of a side touches
 _FINER_RATE = 0.4  # learning rate of a side over that of the one before
+_CAMERA_SHARE = 0.1, 0.6  # of that rate, of the cameras: first side, finer ones
 _COARSE_END = 1.25  # size of points at the end of a coarser side over that of the last
 _REPELLED = 600  # points that repel each other in a step
 _COLOR_SHARE = 5.0  # rate of colours' logits, which have several units to go
@@ -42,7 +43,6 @@ class Stage(NamedTuple):
     settings: FitSettings
     number: int  # of the side
     weights: Weights
-    learn: tuple[str, ...]  # of the cameras
 
     @property
     def steps(self) -> int:
@@ -104,13 +104,13 @@ def _make_optimizer(stage: Stage) -> optax.GradientTransformation:
     rate = optax.cosine_decay_schedule(peak, steps, alpha=0.1)
 
     def camera_rate(step):
-        # From a sphere no pose can be told: at first the cloud moves alone.
+        # From a sphere no camera can be told: at first the cloud moves alone.
         begun = 1.0 if stage.number else jnp.clip(5 * step / steps - 1.5, 0, 1)
-        return settings.camera_share[min(stage.number, 1)] * begun * rate(step)
+        return _CAMERA_SHARE[min(stage.number, 1)] * begun * rate(step)
 
     # A cloud has the others of its cameras only where they are learned.
-    kinds = {"rotations": "camera" if "rotations" in stage.learn else "given"}
-    kinds |= {"translations": "camera", "log_focal": "camera", "color_logits": "colors"}
+    kinds = {"rotations": "given", "translations": "camera", "log_focal": "camera"}
+    kinds |= {"color_logits": "colors"}
 
     def label(path, _):
         return kinds.get(path[0].name, "cloud")
@@ -192,9 +192,7 @@ def _advance(cloud, state, first, targets, outside, camera, *, stage, max_blocks
         cloud, state = carry
         slopes, loss = jax.grad(compare, has_aux=True)(cloud, number)
         updates, state = optimizer.update(slopes, state, cloud)
-        moved: Any = optax.apply_updates(cloud, updates)
-        unit = jax.vmap(quaternion.normalize)(moved.rotations)
-        return (moved._replace(rotations=unit), state), loss
+        return (optax.apply_updates(cloud, updates), state), loss
 
     numbers = first + jnp.arange(CHUNK)
     (cloud, state), losses = jax.lax.scan(step, (cloud, state), numbers)

@@ -1,8 +1,8 @@
 """One object's cloud from its silhouettes alone, without a network.
 
 The projection and the losses of training, with a point cloud and a pose for each view
-as what is learned. Given poses need the cloud alone; rough ones are learned with it; of
-none, `pose_search` finds rough ones first.
+as what is learned. Given poses need the cloud alone; `pose_search` finds others first,
+near rough ones or from nothing.
 """
 
 import dataclasses
@@ -19,7 +19,7 @@ from dpc_jax.learning.fitting import LEARNED
 from dpc_jax.learning.fitting import FitSettings as FitSettings
 from dpc_jax.learning.fitting.cloud import METHOD, Cloud, make_shell, split_points
 from dpc_jax.learning.fitting.descent import COARSE_UP_TO, Stage, descend
-from dpc_jax.learning.fitting.pose_search import COARSE, FINE, search_poses
+from dpc_jax.learning.fitting.pose_search import COARSE_SIDE, search_poses
 from dpc_jax.learning.signals import Weights, make_targets
 from dpc_jax.render import (
     Camera,
@@ -87,8 +87,9 @@ def fit(
       rotations: [V, 4] quaternions, object to camera; None to find them. A shape and
         its mirror image cast nearly the same shadows: without rotations, either may be
         found, in any frame.
-      learn: what of the cameras is learned, of "rotations" (always where there are
-        none), "translations" and "focal_lengths"; their means stay as given.
+      learn: what of the cameras is learned: "rotations" (from nothing where there are
+        none, otherwise within about 30 degrees), "translations", "focal_lengths"; the
+        means of the last two stay as given.
       depths: [V, S, S], metric z, 0 where not measured.
       colors: [V, S, S, 3] on white, bytes or floats in [0, 1].
       camera: of all views.
@@ -113,20 +114,14 @@ def fit(
     begin, tell = time.perf_counter(), on_progress or (lambda *_: None)
     views = _check_views(silhouettes, depths, colors)
     settings = _complete_settings(settings, views["masks"])
-    _check_settings(settings, views["masks"], learn, is_searched=rotations is None)
+    is_searched = rotations is None or "rotations" in learn
+    _check_settings(settings, views["masks"], learn, is_searched=is_searched)
     arguments.check_view(camera)
     key = jax.random.key(seed)
-    if rotations is None:
-        learn = tuple(dict.fromkeys(("rotations", *learn)))
-        rotations = search_poses(
-            views, key, settings=settings, camera=camera, tell=tell
-        )
-    else:
-        shape = len(views["masks"]), 4
-        rotations = np.asarray(checks.check_array("rotations", rotations, shape))
-        checks.check_values({"rotations": rotations})
+    how = {"settings": settings, "camera": camera, "tell": tell}
+    rotations, translations = _find_poses(views, rotations, learn, key, **how)
     weights = _choose_weights(settings, views)
-    cloud = _begin(rotations, key, settings, learn, has_colors=bool(weights.color))
+    cloud = _begin(rotations, translations, key, settings, learn, weights)
     curve: list[dict[str, float]] = []
     for number, side in enumerate(sides := settings.sides):
         done, total = sum(settings.steps[:number]), sum(settings.steps)
@@ -140,7 +135,7 @@ def fit(
         targets = make_targets(
             views, side, signals=weights.signals, distance=float(camera.distance)
         )
-        stage = Stage(settings, number, weights, learn)
+        stage = Stage(settings, number, weights)
         if number and side > COARSE_UP_TO:
             key, own = jax.random.split(key)
             ratio, last = side // sides[number - 1], sides[number - 1]
@@ -231,12 +226,7 @@ def _check_settings(settings: FitSettings, masks, learn, *, is_searched):
             "settings.steps must have a number for each of settings.sides, but there "
             f"are {len(settings.steps)} for {len(settings.sides)}; give as many."
         )
-    if np.shape(settings.camera_share) != (2,):
-        raise ValueError(
-            "settings.camera_share must be a pair, of the first side and of the finer "
-            f"ones, but it is {settings.camera_share!r}; give for example (0.1, 0.6)."
-        )
-    needed = {*settings.sides, *((COARSE.side, FINE.side) if is_searched else ())}
+    needed = {*settings.sides, *((COARSE_SIDE,) if is_searched else ())}
     if any(side % other for other in needed):
         raise ValueError(
             f"silhouettes must have a side that {sorted(needed)} divide, but it is "
@@ -244,15 +234,28 @@ def _check_settings(settings: FitSettings, masks, learn, *, is_searched):
         )
 
 
-def _begin(rotations, key, settings, learn, *, has_colors) -> Cloud:
-    views, count = len(rotations), settings.num_points
+def _find_poses(views, rotations, learn, key, **how):
+    """Rotations [V, 4] as given or found; translations [V, 3] where learned."""
+    count = len(views["masks"])
+    translations = jnp.zeros((count, 3)) if "translations" in learn else None
+    if rotations is not None:
+        rotations = np.asarray(checks.check_array("rotations", rotations, (count, 4)))
+        checks.check_values({"rotations": rotations})
+        if "rotations" not in learn:
+            return rotations, translations
+    found = search_poses(views, key, rough=rotations, translations=translations, **how)
+    return found.rotations, found.translations
+
+
+def _begin(rotations, translations, key, settings, learn, weights: Weights) -> Cloud:
+    count = settings.num_points
     return Cloud(
         make_shell(key, count),
         jnp.zeros(()),
-        jnp.zeros((count, 3)) if has_colors else None,
+        jnp.zeros((count, 3)) if weights.color else None,
         jax.vmap(quaternion.normalize)(jnp.asarray(rotations, jnp.float32)),
-        jnp.zeros((views, 3)) if "translations" in learn else None,
-        jnp.zeros(views) if "focal_lengths" in learn else None,
+        translations,
+        jnp.zeros(len(rotations)) if "focal_lengths" in learn else None,
     )
 
 
