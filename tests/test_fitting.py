@@ -150,23 +150,18 @@ def test_rough_poses_become_right_and_stay_so_while_the_cloud_is_fitted(
 
 def test_steps_of_poses_find_those_of_a_known_cloud_and_their_translations(scene):
     points, _, rotations = scene
-    cloud, sigma = Cloud(points, np.float32(0), None, rotations, None, None), 0.75
+    # The mass of `take_views`, in the units of a cloud.
+    log_mass = np.float32(np.log(6 * len(points) / 2000))
+    cloud = Cloud(points, log_mass, None, rotations, None, None)
     moves = np.random.default_rng(2).normal(size=(VIEWS, 3)) * [0.03, 0.03, 0]
     moves = (moves - moves.mean(axis=0)).astype(np.float32)
-    silhouettes = dpc_jax.project_batch(
-        points,
-        rotations,
-        translations=moves,
-        sigma=sigma,
-        scale=cloud.find_mass(32),
-        grid=dpc_jax.VoxelGrid(32),
-        method="quadratic",
-    ).silhouette
+    images = take_views(points, rotations, translations=moves, method="quadratic")
     rough = turn_at_random(rotations, 3)
     found = cloud._replace(rotations=rough, translations=np.zeros_like(moves))
     step, losses = jax.jit(step_poses), []
+    how = {"sigma": 0.6, "camera": dpc_jax.Camera()}
     for _ in range(8):
-        found, loss = step(found, silhouettes, sigma=sigma, camera=dpc_jax.Camera())
+        found, loss = step(found, images.silhouette, **how)
         losses.append(loss)
     # No step makes a view worse, but for moving the mean of the translations back.
     assert (np.diff(losses, axis=0) < 1e-4).all()

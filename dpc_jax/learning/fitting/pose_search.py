@@ -180,7 +180,10 @@ def _improve(
 
 @jax.jit
 def _compare_again(cloud: Cloud, silhouettes, candidates, sigma, camera):
-    """Each view gets the best of its pose and the likeliest candidates, after steps."""
+    """Each view gets the best of its pose and the likeliest candidates, after steps.
+
+    Translations do not count in what is likely: the steps find them.
+    """
     losses = _find_losses(cloud, candidates, silhouettes, sigma=sigma, camera=camera)
     _, best = jax.lax.top_k(-losses, _LIKELY)
     likely = jax.vmap(_take, (None, 1), 1)(candidates, best)
@@ -261,7 +264,8 @@ def _step_cloud(cloud: Cloud, state, silhouettes, sigma, rate, camera):
 def _find_losses(cloud: Cloud, candidates, silhouettes, *, sigma, camera) -> jax.Array:
     """Loss per pixel of every candidate in every view [V, K].
 
-    Candidates are [K, 4], the same for all views, or [V, K, 4].
+    Candidates are [K, 4], the same for all views, or [V, K, 4]. Points are drawn by the
+    default method: there are many candidates, and it is quicker than `METHOD`.
     """
     side = silhouettes.shape[-1]
     scene = {"points": cloud.points, "mass": cloud.find_mass(side), "sigma": sigma}
