@@ -23,8 +23,7 @@ class FitSettings:
       pull_weight: of points outside of the silhouettes.
       depth_weight, color_weight: per pixel, beside silhouettes; used where depths or
         colours are given.
-      searches, rounds: poses are the best of so many searches, of so many rounds in
-        coarse images; near rough poses half as many search.
+      searches: poses are the best of so many; near rough poses of half as many.
       elevations: lowest and highest of the cameras, degrees, of poses from nothing.
     """
 
@@ -38,5 +37,4 @@ class FitSettings:
     depth_weight: float = 1.0
     color_weight: float = 0.3
     searches: int = 4
-    rounds: int = 100
     elevations: tuple[float, float] = (-20.0, 40.0)

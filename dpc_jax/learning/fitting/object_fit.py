@@ -6,6 +6,7 @@ near rough ones or from nothing.
 """
 
 import dataclasses
+import math
 import time
 from collections.abc import Callable
 from typing import Any
@@ -19,7 +20,7 @@ from dpc_jax.learning.fitting import LEARNED
 from dpc_jax.learning.fitting import FitSettings as FitSettings
 from dpc_jax.learning.fitting.cloud import METHOD, Cloud, make_shell, split_points
 from dpc_jax.learning.fitting.descent import COARSE_UP_TO, Stage, descend
-from dpc_jax.learning.fitting.pose_search import COARSE_SIDE, search_poses
+from dpc_jax.learning.fitting.pose_search import SEARCHED_SIDE, search_poses
 from dpc_jax.learning.signals import Weights, make_targets
 from dpc_jax.render import (
     Camera,
@@ -226,11 +227,11 @@ def _check_settings(settings: FitSettings, masks, learn, *, is_searched):
             "settings.steps must have a number for each of settings.sides, but there "
             f"are {len(settings.steps)} for {len(settings.sides)}; give as many."
         )
-    needed = {*settings.sides, *((COARSE_SIDE,) if is_searched else ())}
+    needed = {*settings.sides, *((SEARCHED_SIDE,) if is_searched else ())}
     if any(side % other for other in needed):
         raise ValueError(
             f"silhouettes must have a side that {sorted(needed)} divide, but it is "
-            f"{side}; bring the images to {max(settings.sides)} or a multiple of it."
+            f"{side}; bring the images to {math.lcm(*needed)} or a multiple of it."
         )
 
 

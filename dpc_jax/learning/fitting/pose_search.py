@@ -6,11 +6,14 @@ each round all are compared with the view; then the cloud takes a few steps, eac
 one pose per view that is drawn with probability ∝ exp(-loss / temperature). The
 temperature falls: at first nearly all poses are tried, at the end the best one stays.
 Where the best one is taken from the start (Eq. 2), accidents of the first cloud decide
-for good.
+for good. So do images of 16² pixels where front and back look alike in them: from
+nothing the temperature falls in images of 32².
 
-In finer images the cloud and the poses take steps in turn, the poses by
-Levenberg-Marquardt (`pose_steps`). This is repeated from several random clouds; the
-best goes on in the finest images.
+In finer images the cloud and the poses take the same steps of Adam. A step of each in
+turn, the other held, keeps an error that all views share: the cloud has bent to it. Now
+and then the likeliest candidates get Levenberg-Marquardt steps (`pose_steps`), and the
+best of them and the pose goes on. This is repeated from several random clouds; the best
+is improved in the finest images.
 """
 
 import functools
@@ -34,28 +37,47 @@ from dpc_jax.networks.viewpoints import list_viewpoints
 from dpc_jax.render import Camera, quaternion
 from dpc_jax.render.batch import map_renders
 
-COARSE_SIDE = 16  # of the first images and their volume
-_COARSE_POINTS = 300
-_COARSE_SIGMA = (2.0, 0.75)  # of the points at the start and at the end, voxels
-_COARSE_RATE = 0.01  # of the points, box diagonals
-# Of a pixel's mean squared difference, at the start and at the end. Above the first all
-# poses are alike, below the last the second best is hardly ever drawn.
-_TEMPERATURE = (4e-3, 2e-4)
-_AZIMUTHS, _RINGS = 24, 4  # of the viewpoints, in equal steps
+SEARCHED_SIDE = 32  # which divides that of the images
+_DRAWN_RATE = 0.16  # of the points while poses are drawn, voxels
+# Of the drawn viewpoints' mean direction, against views that all look from one side:
+# what nobody looks at from the other is no shape, and a reversed view stays.
+_SPREAD = 4.0
 _ASIDE = (-20.0, -10.0, 0.0, 10.0, 20.0)  # of turns about each axis, degrees
 _SIGMA = (1.0, 0.75)  # in the finer images
 _RATE = (5e-3, 5e-4)
+_POSE_SHARE = 0.3  # of that rate, of quaternions and translations
 _LIKELY, _TRIED = 4, 5  # candidates compared with a found pose, by so many steps
-_STEPS = 5  # of the cloud in a round
+_STEPS = 5  # in a round
 _ADAM = optax.scale_by_adam()
+_CLOUD, _POSES = ("points", "log_mass"), ("rotations", "translations")
 
 
-class Level(NamedTuple):
-    """A finer resolution of the search.
+class Drawn(NamedTuple):
+    """A resolution in which poses are drawn.
 
     Attributes:
       side: of images and volume. num_points: of the cloud.
-      rounds: of steps of the cloud and the poses.
+      sigma: of the points in the first and the last round, voxels.
+      temperature: in these, of a pixel's mean squared difference. At the highest all
+        poses are alike, at the lowest the second best is hardly ever drawn.
+      viewpoints: azimuths and rings of candidates from nothing, in equal steps.
+      rounds: each a comparison and a few steps.
+    """
+
+    side: int
+    num_points: int
+    sigma: tuple[float, float]
+    temperature: tuple[float, float]
+    viewpoints: tuple[int, int] | None
+    rounds: int
+
+
+class Level(NamedTuple):
+    """A finer resolution, in which poses move.
+
+    Attributes:
+      side: of images and volume. num_points: of the cloud.
+      rounds: of steps.
       compared: after which of them each view is compared with its candidates again.
     """
 
@@ -65,7 +87,12 @@ class Level(NamedTuple):
     compared: tuple[int, ...]
 
 
-FINER = (Level(32, 800, 60, (10, 20, 30, 40)), Level(64, 2000, 40, (10,)))
+NEAR = (Drawn(16, 300, (2.0, 0.75), (4e-3, 2e-4), None, 100),)
+FROM_NOTHING = (
+    Drawn(16, 300, (2.0, 1.2), (4e-3, 4e-3), (24, 4), 60),
+    Drawn(32, 600, (2.0, 0.75), (4e-3, 1e-4), (48, 6), 60),
+)
+FINER = (Level(32, 800, 60, (10, 20, 30, 40)), Level(64, 2000, 80, (10,)))
 
 
 def search_poses(
@@ -86,7 +113,7 @@ def search_poses(
       rough: [V, 4] quaternions that the searches stay near to; None for viewpoints from
         all around, of the elevations that settings have.
       translations: [V, 3] that begin the finer images; None where views have none.
-      settings: how many searches, of how many rounds in coarse images.
+      settings: how many searches.
       tell: called with what is done, a count and a total.
     """
     side, count = views["masks"].shape[-1], len(views["masks"])
@@ -94,7 +121,11 @@ def search_poses(
     # Those near rough poses seldom fail.
     searches = settings.searches if rough is None else (settings.searches + 1) // 2
     what, total = "searching for poses", searches + len(finer[1:])
-    candidates = _list_candidates(rough, settings)
+    drawn = [
+        (level, _list_candidates(rough, level.viewpoints, settings))
+        for level in (FROM_NOTHING if rough is None else NEAR)
+    ]
+    candidates = drawn[-1][1]
 
     @functools.cache
     def read(side):
@@ -103,38 +134,36 @@ def search_poses(
 
     def search(number):
         tell(what, number, total)
-        start, own, near = jax.random.split(jax.random.fold_in(key, number), 3)
-        cloud, seen = _draw_cloud(start, count), read(COARSE_SIDE)
-        inputs = seen, candidates, own, settings.rounds, camera
-        cloud, loss = _draw_poses(cloud, *inputs)
+        start, *keys, near = jax.random.split(jax.random.fold_in(key, number), 4)
+        cloud = _draw_cloud(start, drawn[0][0].num_points, count)
+        for (level, candidates), own in zip(drawn, keys, strict=False):
+            cloud = _draw_poses(cloud, read(level.side), candidates, own, level, camera)
         cloud = cloud._replace(translations=translations)
-        for level in finer[:1]:
-            seen = read(level.side)
-            cloud, loss = _improve(cloud, seen, candidates, near, level, camera)
-        return cloud, loss
+        return improve(cloud, read(finer[0].side), candidates, near, finer[0], camera)
 
     cloud, _ = min(map(search, range(searches)), key=lambda one: one[1])
     for number, level in enumerate(finer[1:], searches):
         tell(what, number, total)
         own = jax.random.fold_in(key, number)
-        cloud, _ = _improve(cloud, read(level.side), candidates, own, level, camera)
+        cloud, _ = improve(cloud, read(level.side), candidates, own, level, camera)
     tell(what, total, total)
     return cloud
 
 
-def _list_candidates(rough, settings: FitSettings) -> jax.Array:
+def _list_candidates(rough, viewpoints, settings: FitSettings) -> jax.Array:
     """[K, 4] for all views, or [V, K, 4] about rough poses [V, 4]."""
     if rough is None:
-        return list_viewpoints(settings.elevations, azimuths=_AZIMUTHS, rings=_RINGS)
+        azimuths, rings = viewpoints
+        return list_viewpoints(settings.elevations, azimuths=azimuths, rings=rings)
     turns = np.deg2rad(list(itertools.product(_ASIDE, repeat=3)))
     turns = Rotation.from_rotvec(turns).as_quat(scalar_first=True)[None]
     multiply = jnp.vectorize(quaternion.multiply, signature="(q),(q)->(q)")
     return multiply(turns.astype(np.float32), jnp.asarray(rough)[:, None])
 
 
-def _draw_cloud(key, num_views: int) -> Cloud:
-    """A ball of points for the coarse level; without poses."""
-    points = 0.25 * jax.random.normal(key, (_COARSE_POINTS, 3))
+def _draw_cloud(key, num_points: int, num_views: int) -> Cloud:
+    """A ball of points; without poses."""
+    points = 0.25 * jax.random.normal(key, (num_points, 3))
     rotations = jnp.broadcast_to(jnp.asarray(quaternion.IDENTITY), (num_views, 4))
     points = jnp.clip(points, -0.45, 0.45)
     return Cloud(points, jnp.zeros(()), None, rotations, None, None)
@@ -146,30 +175,39 @@ def _between(ends: tuple[float, float], number: int, rounds: int) -> jax.Array:
     return jnp.float32(ends[0] * (ends[1] / ends[0]) ** share)
 
 
+def _draw_points(cloud: Cloud, key, num_points: int, side: int) -> Cloud:
+    """So many points near those of the cloud, by half a voxel of the grid."""
+    picks, noise = jax.random.split(key)
+    points = jax.random.choice(picks, cloud.points, (num_points,))
+    points += 0.5 / side * jax.random.normal(noise, points.shape)
+    return cloud._replace(points=points)
+
+
 def _draw_poses(
-    cloud: Cloud, silhouettes, candidates, key, rounds: int, camera: Camera
-) -> tuple[Cloud, float]:
-    """By expectation maximisation: (with the best candidates, their mean loss)."""
-    rate = jnp.float32(_COARSE_RATE)
-    state, losses = _ADAM.init((cloud.points, cloud.log_mass)), jnp.zeros((1, 1))
-    for number, own in enumerate(jax.random.split(key, rounds)):
-        sigma = _between(_COARSE_SIGMA, number, rounds)
-        how = sigma, rate, _between(_TEMPERATURE, number, rounds)
-        inputs = silhouettes, candidates, camera
-        cloud, state, losses = _run_drawn_round(cloud, state, own, *how, *inputs)
-    cloud = cloud._replace(rotations=_take(candidates, jnp.argmin(losses, axis=1)))
-    return cloud, float(jnp.mean(jnp.min(losses, axis=1)))
+    cloud: Cloud, silhouettes, candidates, key, level: Drawn, camera: Camera
+) -> Cloud:
+    """By expectation maximisation; with the best candidates."""
+    if len(cloud.points) < level.num_points:
+        key, own = jax.random.split(key)
+        cloud = _draw_points(cloud, own, level.num_points, level.side)
+    rate = jnp.float32(_DRAWN_RATE / level.side)
+    state, losses = _ADAM.init(_list_learned(cloud, _CLOUD)), jnp.zeros((1, 1))
+    for number, own in enumerate(jax.random.split(key, level.rounds)):
+        sigma, temperature = (
+            _between(ends, number, level.rounds)
+            for ends in (level.sigma, level.temperature)
+        )
+        how = sigma, rate, temperature, silhouettes, candidates, camera
+        cloud, state, losses = _run_drawn_round(cloud, state, own, *how)
+    return cloud._replace(rotations=_take(candidates, jnp.argmin(losses, axis=1)))
 
 
-def _improve(
+def improve(
     cloud: Cloud, silhouettes, candidates, key, level: Level, camera: Camera
 ) -> tuple[Cloud, float]:
     """(cloud and poses of a finer level, the mean loss per pixel)."""
-    picks, noise = jax.random.split(key)
-    points = jax.random.choice(picks, cloud.points, (level.num_points,))
-    points += 0.5 / level.side * jax.random.normal(noise, points.shape)
-    cloud = cloud._replace(points=points)
-    state, loss = _ADAM.init((points, cloud.log_mass)), jnp.inf
+    cloud = _draw_points(cloud, key, level.num_points, level.side)
+    state, loss = _ADAM.init(_list_learned(cloud, _CLOUD + _POSES)), jnp.inf
     for number in range(level.rounds):
         sigma, rate = (_between(ends, number, level.rounds) for ends in (_SIGMA, _RATE))
         cloud, state, loss = _run_round(cloud, state, sigma, rate, silhouettes, camera)
@@ -217,48 +255,74 @@ def _run_drawn_round(
 ):
     """Compare all, then a few steps; cloud, the optimizer's state, losses [V, K]."""
     losses = _find_losses(cloud, candidates, silhouettes, sigma=sigma, camera=camera)
+    chances = -losses / temperature
+    if candidates.ndim == 2:
+        crowding = measure_crowding(candidates, jax.nn.softmax(chances))
+        chances -= _SPREAD * crowding[None]
 
     def step(carry, key):
         cloud, state = carry
-        drawn = jax.random.categorical(key, -losses / temperature)
+        drawn = jax.random.categorical(key, chances)
         cloud = cloud._replace(rotations=_take(candidates, drawn))
-        return _step_cloud(cloud, state, silhouettes, sigma, rate, camera), None
+        rates = dict.fromkeys(_CLOUD, rate)
+        cloud, state, _ = _step(cloud, state, silhouettes, sigma, rates, camera)
+        return (cloud, state), None
 
     keys = jax.random.split(key, _STEPS)
     (cloud, state), _ = jax.lax.scan(step, (cloud, state), keys)
     return cloud, state, losses
 
 
+def measure_crowding(candidates, shares):
+    """[K] from -1 to 1, how near to where most views are, around the upright axis.
+
+    Shares are [V, K] of the candidates [K, 4] in a view.
+    """
+    ways = jax.vmap(quaternion.to_matrix)(candidates)[:, 2, :2]
+    ways /= jnp.linalg.norm(ways, axis=1, keepdims=True)
+    return ways @ jnp.mean(shares @ ways, axis=0)
+
+
 @jax.jit
 def _run_round(cloud, state, sigma, rate, silhouettes, camera):
-    """A few steps of the cloud, one of the poses; cloud, state, mean loss."""
+    """A few steps of the cloud and the poses; cloud, state, mean loss of the last."""
+    rates = dict.fromkeys(_CLOUD, rate) | dict.fromkeys(_POSES, _POSE_SHARE * rate)
 
     def step(carry, _):
-        cloud, state = carry
-        return _step_cloud(cloud, state, silhouettes, sigma, rate, camera), None
+        cloud, state, loss = _step(*carry, silhouettes, sigma, rates, camera)
+        return (cloud, state), loss
 
-    (cloud, state), _ = jax.lax.scan(step, (cloud, state), length=_STEPS)
-    cloud, losses = step_poses(cloud, silhouettes, sigma=sigma, camera=camera)
-    return cloud, state, jnp.mean(losses)
+    (cloud, state), losses = jax.lax.scan(step, (cloud, state), length=_STEPS)
+    return cloud, state, losses[-1]
 
 
-def _step_cloud(cloud: Cloud, state, silhouettes, sigma, rate, camera):
-    """One of Adam for points and mass; cloud, state."""
+def _list_learned(cloud: Cloud, names) -> dict[str, jax.Array]:
+    """Of these, what the cloud has, by name."""
+    values = cloud._asdict()
+    return {name: values[name] for name in names if values[name] is not None}
+
+
+def _step(cloud: Cloud, state, silhouettes, sigma, rates, camera):
+    """One of Adam for what has a rate; cloud, state, mean loss before it."""
 
     def compare(learned):
-        points, log_mass = learned
         return compare_views(
-            cloud._replace(points=points, log_mass=log_mass),
+            cloud._replace(**learned),
             {"silhouette": silhouettes},
             sigma=sigma,
             weights=SILHOUETTES,
             camera=camera,
         )
 
-    learned = cloud.points, cloud.log_mass
-    updates, state = _ADAM.update(jax.grad(compare)(learned), state)
-    points, log_mass = jax.tree.map(lambda a, b: a - rate * b, learned, updates)
-    return cloud._replace(points=points, log_mass=log_mass), state
+    learned = _list_learned(cloud, rates)
+    loss, slopes = jax.value_and_grad(compare)(learned)
+    updates, state = _ADAM.update(slopes, state)
+    learned = {name: old - rates[name] * updates[name] for name, old in learned.items()}
+    cloud = cloud._replace(**learned)
+    rotations, moves = jax.vmap(quaternion.normalize)(cloud.rotations), None
+    if cloud.translations is not None:
+        moves = cloud.translations - jnp.mean(cloud.translations, axis=0)[None]
+    return cloud._replace(rotations=rotations, translations=moves), state, loss
 
 
 def _find_losses(cloud: Cloud, candidates, silhouettes, *, sigma, camera) -> jax.Array:

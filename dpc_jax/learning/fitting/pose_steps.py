@@ -1,7 +1,7 @@
 """Levenberg-Marquardt steps of the poses of one object's views, the cloud held.
 
-A step goes as far as the images say, and only where it makes them more alike. Descent
-with steps of a given size loses good poses while the cloud is coarse (docs/log.md).
+A step goes as far as the images say, and only where it makes them more alike: after few
+steps candidates can be compared, however far apart they began.
 """
 
 from collections.abc import Mapping
