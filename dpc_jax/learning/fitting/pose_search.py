@@ -289,7 +289,8 @@ def _run_round(cloud, state, sigma, rate, silhouettes, camera):
     rates = dict.fromkeys(_CLOUD, rate) | dict.fromkeys(_POSES, _POSE_SHARE * rate)
 
     def step(carry, _):
-        cloud, state, loss = _step(*carry, silhouettes, sigma, rates, camera)
+        cloud, state = carry
+        cloud, state, loss = _step(cloud, state, silhouettes, sigma, rates, camera)
         return (cloud, state), loss
 
     (cloud, state), losses = jax.lax.scan(step, (cloud, state), length=_STEPS)
@@ -316,6 +317,7 @@ def _step(cloud: Cloud, state, silhouettes, sigma, rates, camera):
 
     learned = _list_learned(cloud, rates)
     loss, slopes = jax.value_and_grad(compare)(learned)
+    updates: Any
     updates, state = _ADAM.update(slopes, state)
     learned = {name: old - rates[name] * updates[name] for name, old in learned.items()}
     cloud = cloud._replace(**learned)
