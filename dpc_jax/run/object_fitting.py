@@ -25,8 +25,8 @@ from dpc_jax.run.process import hasten_compilation, keep_compiled_programs
 
 SHOWN = 8  # views in the picture, spread over all
 GOOD_OVERLAP = 0.8  # below, a view is named
-# As many were shown to be enough to find poses by; of six half were wrong at an overlap
-# of 0.98 (docs/tutorial.md).
+# As many were shown to be enough to find poses by; of six one was wrong at an overlap
+# of 0.99 (docs/tutorial.md).
 ENOUGH_VIEWS = 20
 
 

@@ -39,8 +39,8 @@ from dpc_jax.render.batch import map_renders
 
 SEARCHED_SIDE = 32  # which divides that of the images
 _DRAWN_RATE = 0.16  # of the points while poses are drawn, voxels
-# Of the drawn viewpoints' mean direction, against views that all look from one side:
-# what nobody looks at from the other is no shape, and a reversed view stays.
+# Against views that are all placed on one side of the object: on the other the cloud
+# is no shape then, and reversed views cannot go there one by one.
 _SPREAD = 4.0
 _ASIDE = (-20.0, -10.0, 0.0, 10.0, 20.0)  # of turns about each axis, degrees
 _SIGMA = (1.0, 0.75)  # in the finer images
@@ -60,7 +60,7 @@ class Drawn(NamedTuple):
       sigma: of the points in the first and the last round, voxels.
       temperature: in these, of a pixel's mean squared difference. At the highest all
         poses are alike, at the lowest the second best is hardly ever drawn.
-      viewpoints: azimuths and rings of candidates from nothing, in equal steps.
+      viewpoints: azimuths and rings of the candidates, in equal steps; None for turns.
       rounds: each a comparison and a few steps.
     """
 
@@ -279,7 +279,7 @@ def measure_crowding(candidates, shares):
     Shares are [V, K] of the candidates [K, 4] in a view.
     """
     ways = jax.vmap(quaternion.to_matrix)(candidates)[:, 2, :2]
-    ways /= jnp.linalg.norm(ways, axis=1, keepdims=True)
+    ways /= jnp.maximum(jnp.linalg.norm(ways, axis=1, keepdims=True), 1e-6)
     return ways @ jnp.mean(shares @ ways, axis=0)
 
 
