@@ -168,13 +168,13 @@ def test_steps_of_poses_find_those_of_a_known_cloud_and_their_translations(scene
     for _ in range(8):
         found, loss = step(found, images.silhouette, **how)
         losses.append(loss)
-    # No step makes a view worse, but for moving the mean of the translations back.
-    assert (np.diff(losses, axis=0) < 1e-4).all()
+    # No step makes a view worse; the images are rounded.
+    assert (np.diff(losses, axis=0) < 1e-6).all()
     turns = Rotation.from_quat(found.rotations, scalar_first=True)
     turns *= Rotation.from_quat(rotations, scalar_first=True).inv()
-    assert np.degrees(turns.magnitude()).max() < 0.3
+    # A fifth of a pixel at the ends; distances hardly show, and turns make up for them.
+    assert np.degrees(turns.magnitude()).max() < 1
     np.testing.assert_allclose(found.translations[:, :2], moves[:, :2], atol=0.003)
-    np.testing.assert_allclose(found.translations.mean(axis=0), 0, atol=1e-6)
 
 
 def test_a_cloud_and_its_poses_are_improved_together(scene):
@@ -185,6 +185,7 @@ def test_a_cloud_and_its_poses_are_improved_together(scene):
     inputs = begun, silhouettes, rough, jax.random.key(0), level, dpc_jax.Camera()
     found, _ = pose_search.improve(*inputs)
     assert np.median(measure_turns(rough, rotations)) > 6
+    # By a pixel at its ends the L turns by 5 degrees.
     assert np.median(measure_turns(found.rotations, rotations)) < 3
     np.testing.assert_allclose(np.linalg.norm(found.rotations, axis=1), 1, atol=1e-5)
     np.testing.assert_allclose(found.translations.mean(axis=0), 0, atol=1e-6)

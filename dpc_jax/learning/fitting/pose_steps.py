@@ -25,7 +25,7 @@ def step_poses(cloud: Cloud, silhouettes, *, sigma, camera) -> tuple[Cloud, jax.
     """One step of every view: the cloud, losses per pixel [V] before it.
 
     Slopes are differences between images half a voxel to both sides. Translations move
-    as well where the cloud has them, their mean held at zero.
+    as well where the cloud has them.
 
     Args:
       silhouettes: [V, D, D]. sigma: of the points, voxels. camera: of all views.
@@ -60,10 +60,8 @@ def step_poses(cloud: Cloud, silhouettes, *, sigma, camera) -> tuple[Cloud, jax.
         return _move(own, tries[jnp.argmin(losses)]), losses[0]
 
     moved, losses = jax.lax.map(improve, (cloud.list_views(camera), silhouettes))
-    moves = moved.get("translation")
-    if moves is not None:
-        moves -= jnp.mean(moves, axis=0, keepdims=True)
-    return cloud._replace(rotations=moved["rotation"], translations=moves), losses
+    found = {"rotations": moved["rotation"], "translations": moved.get("translation")}
+    return cloud._replace(**found), losses
 
 
 def _move(own: Mapping[str, jax.Array], step) -> dict[str, jax.Array]:
